@@ -44,10 +44,13 @@ class BoardAddress(Address):
         address, query, _ = prefix.partition("?")
         if not query:
             return dict.fromkeys(cls.ports(), "")
-        begun = f"{prefix.rpartition('&')[0]}&" if "&" in prefix else f"{address}?"
-        profiles = {f"{begun}profile={name}": "" for name in profile_names()}
+        start = f"{address}?"
+        if "&" in prefix:
+            stated_keys, _, _ = prefix.rpartition("&")
+            start = f"{stated_keys}&"
+        profiles = {f"{start}profile={name}": "" for name in profile_names()}
         settings = KINDS[address.partition(":")[0]].described()
-        return profiles | {f"{begun}{entry['key']}=": entry["doc"] for entry in settings}
+        return profiles | {f"{start}{entry['key']}=": entry["doc"] for entry in settings}
 
 
 class SerialAddress(BoardAddress):
@@ -62,25 +65,28 @@ class SerialAddress(BoardAddress):
     @classmethod
     def listings(cls) -> Sequence[Listing]:
         devices = serial_devices()
-        found = dict.fromkeys(devices, "")
+        text_of_path = dict.fromkeys(devices, "")
         try:
             from serial.tools.list_ports import comports
         except ImportError:
             missing = "pyserial is not installed: pip install 'sparseskin[serial]'"
-            found = dict.fromkeys(found, missing)
+            text_of_path = dict.fromkeys(text_of_path, missing)
         else:
-            known = {port.device: port.description for port in comports() if port.hwid != "n/a"}
+            descriptions = {
+                port.device: port.description for port in comports() if port.hwid != "n/a"
+            }
             names = {device: name for name, device in devices.items()}
-            for device, text in known.items():
-                found[names.get(device, device)] = "" if text == "n/a" else text
+            for device, text in descriptions.items():
+                text_of_path[names.get(device, device)] = "" if text == "n/a" else text
+
         ports = [
             {"source": f"serial:{path}", "about": printable(text)}
-            for path, text in sorted(found.items())
+            for path, text in sorted(text_of_path.items())
         ]
-        profiles = [
-            {"name": name, "about": str(read_toml(PROFILES / f"{name}.toml").get("about", ""))}
-            for name in profile_names()
-        ]
+        profiles = []
+        for name in profile_names():
+            profile = read_toml(PROFILES / f"{name}.toml")
+            profiles.append({"name": name, "about": str(profile.get("about", ""))})
         about = "profiles of boards: for ?profile=NAME; or the path of a .toml file"
         return (
             Listing("serial", "serial ports: add ?profile=NAME", ports),

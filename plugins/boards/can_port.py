@@ -56,24 +56,25 @@ def chunks_of(settings: CanSettings, framing: Framing) -> Chunks:
     index_bytes = {"none": 0, "u8": 1, "u16": 2}[settings.index]
     counter_bytes = {"none": 0, "u8": 1}[settings.counter]
     room = (64 if settings.fd else 8) - index_bytes - counter_bytes
-    chunk = room if settings.chunk is None else settings.chunk
-    if chunk > room:
+    chunk_bytes = room if settings.chunk is None else settings.chunk
+    if chunk_bytes > room:
         raise SourceError(
-            f"chunk: {chunk} bytes do not fit beside index and counter; at most {room}"
+            f"chunk: {chunk_bytes} bytes do not fit beside index and counter; at most {room}"
         )
-    n_chunks = -(-framing.n_bytes // chunk)
+
+    n_chunks = -(-framing.n_bytes // chunk_bytes)
     if len(ids) == 1 and not index_bytes and n_chunks > 1:
         raise SourceError("ids: one id needs index=u8, the number of the chunk in each CAN frame")
     if len(ids) > 1 and len(ids) != n_chunks:
         raise SourceError(
             f"ids: {len(ids)} ids, but a frame of {framing.n_bytes} bytes has {n_chunks} chunks of "
-            f"{chunk}"
+            f"{chunk_bytes}"
         )
     if len(ids) > 1 and index_bytes:
         raise SourceError("index: goes with one id; with several, the id tells the chunk")
     if n_chunks > 1 << 8 * index_bytes and len(ids) == 1:
         raise SourceError(f"index: {settings.index} does not count to {n_chunks} chunks; index=u16")
-    return Chunks(ids, n_chunks, framing.n_bytes, chunk, index_bytes, counter_bytes)
+    return Chunks(ids, n_chunks, framing.n_bytes, chunk_bytes, index_bytes, counter_bytes)
 
 
 def _ids_of(text: str) -> tuple[int, ...]:
@@ -112,7 +113,7 @@ class Assembler:
 
     def __init__(self, chunks: Chunks, counts: Counts) -> None:
         self._chunks = chunks
-        self._numbers = {one: k for k, one in enumerate(chunks.ids)}
+        self._numbers = {arbitration_id: k for k, arbitration_id in enumerate(chunks.ids)}
         self._counts = counts
         self._parts: dict[int, bytes] = {}
         self._counter = -1
@@ -127,12 +128,14 @@ class Assembler:
         if chunks.index_bytes:
             number = int.from_bytes(data[: chunks.index_bytes], "little")
         # CAN-FD pads data to one of a few lengths.
-        wanted = n_head + chunks.length_of(number)
-        if number >= chunks.n_chunks or len(data) < wanted:
+        n_needed = n_head + chunks.length_of(number)
+        if number >= chunks.n_chunks or len(data) < n_needed:
             self._counts.dropped_bytes += len(data)
             return None
-        counter = data[n_head - 1] if chunks.counter_bytes else 0
+
+        counter = 0
         if chunks.counter_bytes:
+            counter = data[n_head - 1]
             starts_new = counter != self._counter
         else:
             starts_new = number == 0 or number != len(self._parts)
@@ -142,13 +145,14 @@ class Assembler:
             if number and not chunks.counter_bytes:  # its begin is lost
                 self._counts.dropped_bytes += len(data) - n_head
                 return None
-        self._parts[number] = data[n_head:wanted]
+
+        self._parts[number] = data[n_head:n_needed]
         if len(self._parts) < chunks.n_chunks:
             return None
-        whole = b"".join(self._parts[k] for k in range(chunks.n_chunks))
+        frame = b"".join(self._parts[k] for k in range(chunks.n_chunks))
         self._parts.clear()
         self._counter = -1
-        return whole
+        return frame
 
     def reset(self) -> None:
         """Drop what is waiting: the bus was interrupted, or a part is missing."""
@@ -195,6 +199,7 @@ class CanPort(Port):
         if address not in channels:
             hint = did_you_mean(address, channels)
             raise NotHereError(f"there is no CAN interface {address}{hint}")
+
         with contextlib.suppress(OSError, ValueError):
             if not int(Path(f"/sys/class/net/{address}/flags").read_text(), 16) & 1:
                 raise NotHereError(f"the CAN interface {address} is down: ip link set {address} up")
@@ -206,12 +211,11 @@ class CanPort(Port):
         self.check(self.address, settings)
         self._assembler.reset()
         self._parser.reset()
-        options: dict[str, Any] = {} if settings.bitrate is None else {"bitrate": settings.bitrate}
+        options: dict[str, Any] = {}
+        if settings.bitrate is not None:
+            options["bitrate"] = settings.bitrate
         if len(ids) <= MAX_FILTERS:
-            options["can_filters"] = [
-                {"can_id": one, "can_mask": 0x1FFFFFFF, "extended": one > HIGHEST_STANDARD_ID}
-                for one in ids
-            ]
+            options["can_filters"] = [_filter_of(arbitration_id) for arbitration_id in ids]
         try:
             self._bus = can.Bus(
                 channel=self.address, interface=settings.interface, fd=settings.fd, **options
@@ -234,8 +238,10 @@ class CanPort(Port):
             if message.is_error_frame or message.is_remote_frame:
                 self._n_errors += message.is_error_frame
                 continue
+            # An id of 11 bits may be that of an extended frame, too.
             if message.is_extended_id != (message.arbitration_id > HIGHEST_STANDARD_ID):
                 continue
+
             frames += self._taken(message.arbitration_id, bytes(message.data))
             if frames:
                 break
@@ -246,8 +252,10 @@ class CanPort(Port):
             return []
         self.n_bytes += len(data)
         now_ns = time.monotonic_ns()
-        whole = self._assembler.add(arbitration_id, data)
-        return [] if whole is None else [(now_ns, frame) for frame in self._parser.feed(whole)]
+        raw = self._assembler.add(arbitration_id, data)
+        if raw is None:
+            return []
+        return [(now_ns, frame) for frame in self._parser.feed(raw)]
 
     def close(self) -> None:
         if self._bus is not None:
@@ -263,11 +271,17 @@ class CanPort(Port):
         return "; also ids, chunk, index, counter"
 
 
+def _filter_of(arbitration_id: int) -> dict[str, Any]:
+    """The filter of python-can that passes an arbitration id alone."""
+    is_extended = arbitration_id > HIGHEST_STANDARD_ID
+    return {"can_id": arbitration_id, "can_mask": HIGHEST_ID, "extended": is_extended}
+
+
 def can_channels() -> list[str]:
     """CAN interfaces of this host that Linux knows."""
-    found = []
+    names = []
     for path in Path("/sys/class/net").glob("*/type"):
         with contextlib.suppress(OSError):
             if path.read_text().strip() == CAN_TYPE:
-                found.append(path.parent.name)
-    return sorted(found)
+                names.append(path.parent.name)
+    return sorted(names)

@@ -43,7 +43,9 @@ def _crc16_modbus(data: bytes) -> int:
     value = 0xFFFF
     for word in np.frombuffer(data, "<u2", len(data) // 2).tolist():
         value = table[value ^ word]
-    return table[((value ^ data[-1]) & 0xFF) << 8] ^ (value >> 8) if len(data) % 2 else value
+    if len(data) % 2 == 0:
+        return value
+    return table[((value ^ data[-1]) & 0xFF) << 8] ^ (value >> 8)
 
 
 def _crc(polynomial: int, reflected: bool = True) -> Callable[[bytes], int]:
@@ -54,9 +56,13 @@ def _crc(polynomial: int, reflected: bool = True) -> Callable[[bytes], int]:
     for value in range(256):
         for _ in range(8):
             if reflected:
-                value = (value >> 1) ^ (polynomial if value & 1 else 0)
+                is_set = value & 1
+                value >>= 1
             else:
-                value = (value << 1) ^ (polynomial if value & 0x80 else 0)
+                is_set = value & 0x80
+                value <<= 1
+            if is_set:
+                value ^= polynomial
         table.append(value)
 
     def compute(data: bytes) -> int:

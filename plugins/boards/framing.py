@@ -111,17 +111,24 @@ class Framing:
     def size(self, raw: Raw) -> int:
         """Length of the frame that these bytes begin; the least, where they state none allowed."""
         n = self.n_bytes
-        least = self.payload_bytes + self.after
+        least_length = self.payload_bytes + self.after
         if self.length is None or len(raw) < n:
             return n
-        more = _value(raw, self.length, self.byte_order) - least
-        return n + more if 0 < more <= MAX_MORE else n
+
+        excess = _value(raw, self.length, self.byte_order) - least_length
+        if not 0 < excess <= MAX_MORE:
+            return n
+        return n + excess
 
     @cached_property
     def sequence(self) -> Field | None:
         """The sequence number."""
-        at = len(self.start) if self.sequence_at is None else self.sequence_at
-        return Field(at, self.sequence_bytes) if self.sequence_bytes else None
+        if not self.sequence_bytes:
+            return None
+        at = self.sequence_at
+        if at is None:
+            at = len(self.start)
+        return Field(at, self.sequence_bytes)
 
     @cached_property
     def prefix(self) -> bytes:
@@ -140,21 +147,32 @@ class Framing:
     @cached_property
     def payload_at(self) -> int:
         """Place of the payload."""
-        n_sequence = self.sequence_bytes if self.sequence_at is None else 0
-        return len(self.start) + n_sequence + self.skip
+        at = len(self.start) + self.skip
+        # A number at a place of its own is among the skipped bytes.
+        if self.sequence_at is None:
+            at += self.sequence_bytes
+        return at
 
     def encode(self, payload: bytes, sequence: int = 0, stamp: int = 0, first: int = 0) -> bytes:
         """A frame as a board sends it; bytes that are not used are 0. For emulators and tests."""
         n_head = self.payload_at - len(self.start)
         body = bytearray(self.start + bytes(n_head) + payload + bytes(self.after))
         length = len(payload) + self.after
-        fields = (self.stamp, self.first, self.length, self.sequence)
-        for field, value in zip(fields, (stamp, first, length, sequence), strict=True):
+        numbers = (
+            (self.stamp, stamp),
+            (self.first, first),
+            (self.length, length),
+            (self.sequence, sequence),
+        )
+        for field, value in numbers:
             if field is not None:
-                raw = (value % (1 << 8 * field.n_bytes)).to_bytes(field.n_bytes, self.byte_order)
+                modulus = 1 << 8 * field.n_bytes
+                raw = (value % modulus).to_bytes(field.n_bytes, self.byte_order)
                 body[field.at : field.at + field.n_bytes] = raw
-        check = self._check.compute(bytes(body[self._covered_from :]))
-        return bytes(body) + check.to_bytes(self._check.n_bytes, self.byte_order) + self.end
+
+        covered = bytes(body[self._covered_from :])
+        checksum = self._check.compute(covered).to_bytes(self._check.n_bytes, self.byte_order)
+        return bytes(body) + checksum + self.end
 
     @cached_property
     def _covered_from(self) -> int:
@@ -163,26 +181,34 @@ class Framing:
 
     def is_whole(self, raw: bytes) -> bool:
         """True if `size` bytes are a frame: start, length, checksum and end are right."""
-        n_check = self._check.n_bytes
-        start = self.start
-        at = len(raw) - len(self.end) - n_check
         if not (raw.startswith(self.prefix) and raw.endswith(self.end)):
             return False
-        if self.wild and any(raw[k] != start[k] for k in {*range(len(start))} - self.wild):
-            return False
+        for k in range(len(self.prefix), len(self.start)):
+            if k not in self.wild and raw[k] != self.start[k]:
+                return False
+
+        n_check = self._check.n_bytes
+        at = len(raw) - len(self.end) - n_check
         if self.length and _value(raw, self.length, self.byte_order) != at - self.payload_at:
             return False
-        stated = _value(raw, Field(at, n_check), self.byte_order)
-        return self._check.compute(raw[self._covered_from : at]) == stated
+        checksum = _value(raw, Field(at, n_check), self.byte_order)
+        return self._check.compute(raw[self._covered_from : at]) == checksum
 
     def frame(self, raw: bytes, end: int) -> Frame:
         """The whole frame of these bytes; `end` as of `Frame`."""
-        stated = [
-            None if field is None else _value(raw, field, self.byte_order)
-            for field in (self.sequence, self.stamp, self.first)
-        ]
-        payload = raw[self.payload_at : self.payload_at + self.payload_bytes]
-        return Frame(payload, stated[0], end, stated[1] or 0, stated[2] or 0)
+        return Frame(
+            payload=raw[self.payload_at : self.payload_at + self.payload_bytes],
+            sequence=self._number(raw, self.sequence),
+            end=end,
+            stamp=self._number(raw, self.stamp) or 0,
+            first=self._number(raw, self.first) or 0,
+        )
+
+    def _number(self, raw: Raw, field: Field | None) -> int | None:
+        """The number in a field; None if frames have no such field."""
+        if field is None:
+            return None
+        return _value(raw, field, self.byte_order)
 
 
 def _value(raw: Raw, field: Field, byte_order: Literal["little", "big"]) -> int:
@@ -205,15 +231,18 @@ class Sequence:
         """Count a frame by its number; False for one that came before, or after a later one."""
         if number is None:
             return True
-        last, self._last = self._last, number
-        if last is None:
+        if self._last is None:
+            self._last = number
             return True
-        ahead = (number - last) % self._modulus
+
+        # Numbers begin at 0 again.
+        ahead = (number - self._last) % self._modulus
         behind = self._modulus - ahead
         if ahead == 0 or behind <= min(LATE, self._modulus // 8):
-            self._last = last
             self._counts.late_frames += 1
             return False
+
+        self._last = number
         if ahead <= min(self._modulus // 2, MAX_MISSING):
             self._counts.missing_frames += ahead - 1
         return True
@@ -246,8 +275,10 @@ class FrameParser:
     def feed(self, data: bytes) -> list[Frame]:
         """Add bytes to the stream; return the frames that are accepted now, in order."""
         self._buffer += data
+        search = self._search_one if self.framing.is_strong else self._search_two
         checks = MAX_CHECKS + 8 * len(self._buffer) // self.framing.n_bytes
         frames: list[Frame] = []
+        # After an error, bytes are searched for the next frame, a bounded number of times.
         while True:
             if self._in_step:
                 if not self._take(frames):
@@ -257,7 +288,6 @@ class FrameParser:
                 return frames
             else:
                 checks -= 1
-                search = self._search_one if self.framing.is_strong else self._search_two
                 if not search():
                     return frames
 
@@ -267,17 +297,24 @@ class FrameParser:
         buffer = self._buffer
         n = framing.size(buffer)
         n_start = len(framing.prefix)
-        confirmed = framing.is_strong or not framing.confirm
-        if len(buffer) < (n if confirmed else n + n_start):
+
+        # A weak frame is confirmed by the start of the next one.
+        needs_next = framing.confirm and not framing.is_strong
+        n_needed = n
+        if needs_next:
+            n_needed += n_start
+        if len(buffer) < n_needed:
             return False
+        is_confirmed = not needs_next or buffer[n : n + n_start] == framing.prefix
+
         raw = bytes(buffer[:n])
-        confirmed = confirmed or buffer[n : n + n_start] == framing.prefix
-        if not (confirmed and framing.is_whole(raw)):
+        if not (is_confirmed and framing.is_whole(raw)):
             self.counts.bad_frames += 1
             self._in_step = False
             if framing.is_strong:
                 self._drop(1)
             return True
+
         del buffer[:n]
         self._offset += n
         frame = framing.frame(raw, self._offset)
@@ -291,8 +328,12 @@ class FrameParser:
     def _search_one(self) -> bool:
         """Drop what is before the next frame with a right checksum."""
         framing = self.framing
-        if not self._find_start() or len(self._buffer) < (n := framing.size(self._buffer)):
+        if not self._find_start():
             return False
+        n = framing.size(self._buffer)
+        if len(self._buffer) < n:
+            return False
+
         if framing.is_whole(bytes(self._buffer[:n])):
             self._in_step = True
         else:
@@ -307,14 +348,18 @@ class FrameParser:
         start = framing.prefix
         if not self._find_start() or len(buffer) < 2 * n + len(start):
             return False
+
         fitting: list[int] = []
-        at = n_tried = 0
+        n_tried = 0
+        at = 0
         while 0 <= at < n and len(fitting) < 2 and n_tried < MAX_CHECKS:
             if buffer.startswith(start, at + n):
                 n_tried += 1
                 if framing.is_whole(bytes(buffer[at : at + n])):
                     fitting.append(at)
             at = buffer.find(start, at + 1)
+
+        # Start bytes may occur among the readings: two places that fit are as good as none.
         if len(fitting) == 1 and n_tried < MAX_CHECKS:
             self._drop(fitting[0])
             self._in_step = True
@@ -324,12 +369,13 @@ class FrameParser:
 
     def _find_start(self) -> bool:
         """Drop what is before the next start bytes, or what may be their begin."""
-        found = self._buffer.find(self.framing.prefix)
-        if found < 0:
+        # The last bytes may be the begin of start bytes.
+        place = self._buffer.find(self.framing.prefix)
+        if place < 0:
             self._drop(max(0, len(self._buffer) - len(self.framing.prefix) + 1))
         else:
-            self._drop(found)
-        return found >= 0
+            self._drop(place)
+        return place >= 0
 
     def _drop(self, n: int) -> None:
         del self._buffer[:n]
@@ -355,17 +401,20 @@ class PacketParser:
         framing = self._framing
         counts = self.counts
         self._n_bytes += len(packet)
+
+        # A packet that ends within a frame is dropped whole.
         raws = []
-        rest = memoryview(packet)
+        unparsed = memoryview(packet)
         n = 0
-        while rest:
-            n = framing.size(rest)
-            raws.append(bytes(rest[:n]))
-            rest = rest[n:]
+        while unparsed:
+            n = framing.size(unparsed)
+            raws.append(bytes(unparsed[:n]))
+            unparsed = unparsed[n:]
         if not packet or len(raws[-1]) < n:
             counts.bad_frames += 1
             counts.dropped_bytes += len(packet)
             return []
+
         frames = []
         for raw in raws:
             is_whole = framing.is_whole(raw)

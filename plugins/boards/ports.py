@@ -59,6 +59,5 @@ def needed_module(name: str, package: str, extra: str) -> ModuleType:
     try:
         return importlib.import_module(name)
     except ImportError as error:
-        raise NotHereError(
-            f"{package} is not installed: pip install 'sparseskin[{extra}]'"
-        ) from error
+        command = f"pip install 'sparseskin[{extra}]'"
+        raise NotHereError(f"{package} is not installed: {command}") from error

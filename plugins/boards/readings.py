@@ -56,9 +56,13 @@ class Decoder:
         with np.errstate(all="ignore"):  # a float64 beyond float32 becomes infinite
             if self._zero == 0 and self._scale == 1:
                 return counts.astype(np.float32)
-            if self._dtype.itemsize > 2:  # counts of up to 24 bits are exact in float32
-                return ((counts.astype(np.float64) - self._zero) * self._scale).astype(np.float32)
-            return (counts.astype(np.float32) - np.float32(self._zero)) * np.float32(self._scale)
+
+            # Counts of up to 24 bits are exact in float32.
+            if self._dtype.itemsize > 2:
+                readings = (counts.astype(np.float64) - self._zero) * self._scale
+                return readings.astype(np.float32)
+            above_zero = counts.astype(np.float32) - np.float32(self._zero)
+            return above_zero * np.float32(self._scale)
 
 
 class Pieces:
@@ -86,21 +90,28 @@ class Pieces:
         """Add a piece; return the frame that it completes, with its stamp and end."""
         counts = self._counts
         at = piece.first * self._size
-        whole = self._n * self._size
+        n_frame_bytes = self._n * self._size
         counts.frames -= 1
-        in_turn = not self._modulus or piece.sequence == self._number
+        is_in_turn = not self._modulus or piece.sequence == self._number
+        # A piece that was lost is seen by the number of the next one.
         if piece.sequence is not None:
             self._number = (piece.sequence + 1) % max(1, self._modulus)
-        if at != len(self._begun) or not in_turn:
+        if at != len(self._begun) or not is_in_turn:
             self.reset()
+
+        # Of a piece out of turn, only what is of the next frame can be used.
         used = piece.payload
-        if at != len(self._begun):  # only what is of the next frame can be used
-            used = used[whole - at :] if at < whole < at + len(used) else b""
+        if at != len(self._begun):
+            ends_frame = at < n_frame_bytes < at + len(used)
+            used = b""
+            if ends_frame:
+                used = piece.payload[n_frame_bytes - at :]
             counts.dropped_bytes += len(piece.payload) - len(used)
         self._begun += used
-        if len(self._begun) < whole:
+        if len(self._begun) < n_frame_bytes:
             return None
-        found = replace(piece, payload=bytes(self._begun[:whole]), first=0)
-        del self._begun[:whole]
+
+        frame = replace(piece, payload=bytes(self._begun[:n_frame_bytes]), first=0)
+        del self._begun[:n_frame_bytes]
         counts.frames += 1
-        return found
+        return frame

@@ -45,11 +45,11 @@ class SerialPort(Port):
     def check(cls, address: str, settings: SerialSettings) -> None:
         needed_module("serial", "pyserial", "serial")
         try:
-            found = os.stat(address)
+            state = os.stat(address)
         except (OSError, ValueError):
             hint = did_you_mean(address, serial_devices())
             raise NotHereError(f"there is no device {address}{hint}") from None
-        if not stat.S_ISCHR(found.st_mode):
+        if not stat.S_ISCHR(state.st_mode):
             raise SourceError("is no serial port")
         if not os.access(address, os.R_OK | os.W_OK):
             raise SourceError(
@@ -63,8 +63,9 @@ class SerialPort(Port):
         try:
             self._port = serial.Serial(self.address, self._settings.baud, timeout=0, exclusive=True)
         except (OSError, ValueError) as error:  # SerialException is an OSError
-            number = error.errno if isinstance(error, OSError) else None
-            reason = str(error) if number is None else os.strerror(number)
+            reason = str(error)
+            if isinstance(error, OSError) and error.errno is not None:
+                reason = os.strerror(error.errno)
             if "lock" in str(error):
                 reason = "another program has it open"
             raise SourceError(f"cannot be opened: {reason}") from error
@@ -72,7 +73,8 @@ class SerialPort(Port):
     def receive(self, wait_s: float) -> list[Arrived]:
         fd = self._port.fileno()
         frames: list[Arrived] = []
-        if not select.select([fd], [], [], wait_s)[0]:
+        readable, _, _ = select.select([fd], [], [], wait_s)
+        if not readable:
             return frames
         for k in range(MAX_READS):
             data = os.read(fd, READ_BYTES)
@@ -80,6 +82,7 @@ class SerialPort(Port):
                 if k:
                     break
                 raise OSError("the device is gone")  # it was readable, and has nothing
+
             now_ns = time.monotonic_ns()
             self.n_bytes += len(data)
             self._recent.append(data)
@@ -88,6 +91,7 @@ class SerialPort(Port):
         return frames
 
     def _arrival_of(self, end: int) -> int:
+        # Frames end in the order in which their bytes came.
         while self._arrivals[0][0] < end:
             self._arrivals.popleft()
         return self._arrivals[0][1]
@@ -112,12 +116,15 @@ class SerialPort(Port):
         framing = self.parser.framing
         recent = b"".join(self._recent)
         start = framing.prefix.hex(" ").upper()
-        places = [found.start() for found in re.finditer(re.escape(framing.prefix), recent)]
+        places = [match.start() for match in re.finditer(re.escape(framing.prefix), recent)]
         if len(places) < 2:
-            few = f"; the start bytes {start} hardly occur"
-            return "" if len(recent) < framing.n_bytes else few
-        distance, times = Counter(b - a for a, b in pairwise(places)).most_common(1)[0]
-        if times < 2 or distance == framing.n_bytes:
+            if len(recent) < framing.n_bytes:
+                return ""
+            return f"; the start bytes {start} hardly occur"
+
+        # The most frequent distance of two starts.
+        distance, n_times = Counter(b - a for a, b in pairwise(places)).most_common(1)[0]
+        if n_times < 2 or distance == framing.n_bytes:
             return ""
         n_payload = distance - framing.n_bytes + framing.payload_bytes
         return f"; from {start} to {start} it is {distance} bytes, {n_payload} of readings"
@@ -127,6 +134,6 @@ def serial_devices(dev: Path = Path("/dev")) -> dict[str, str]:
     """Serial ports of this host that a board may be at, sorted, by the device that each is now; a
     port of USB by its name in serial/by-id, which it keeps wherever it is plugged in.
     """
-    lasting = {os.path.realpath(path): str(path) for path in dev.glob("serial/by-id/*")}
-    found = sorted(str(path) for name in DEVICES for path in dev.glob(name))
-    return {lasting.get(os.path.realpath(path), path): path for path in found}
+    name_of_device = {os.path.realpath(path): str(path) for path in dev.glob("serial/by-id/*")}
+    paths = sorted(str(path) for name in DEVICES for path in dev.glob(name))
+    return {name_of_device.get(os.path.realpath(path), path): path for path in paths}

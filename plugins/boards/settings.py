@@ -78,12 +78,14 @@ class BoardSettings(GridLayout):
 
     def decoder(self) -> Decoder:
         """Decoder of the readings; SourceError if a key is missing or wrong."""
-        if self.n_rows is None or self.n_cols is None:
-            missing = "n_rows" if self.n_rows is None else "n_cols"
-            raise SourceError(
-                f"{missing} is not stated; add {missing}=NUMBER, or profile=NAME of a board that "
-                "has its size (sparseskin sources lists them)"
-            )
+        for key in ("n_rows", "n_cols"):
+            if getattr(self, key) is None:
+                raise SourceError(
+                    f"{key} is not stated; add {key}=NUMBER, or profile=NAME of a board that "
+                    "has its size (sparseskin sources lists them)"
+                )
+        assert self.n_rows is not None
+        assert self.n_cols is not None
         check_grid(self.n_rows, self.n_cols, "n_rows, n_cols")
         check_unit("unit", self.unit)
         return Decoder(self.dtype, self.byte_order, self.places(), self.scale, self.zero)
@@ -100,13 +102,16 @@ class BoardSettings(GridLayout):
         if f_max is None and dtype.kind == "f":
             raise SourceError(f"f_max is not stated, and {self.dtype} has no largest value")
         if f_max is None:
-            ends = np.iinfo(dtype).min, np.iinfo(dtype).max
-            f_max = max(float((end - self.zero) * self.scale) for end in ends)
+            lowest = float((np.iinfo(dtype).min - self.zero) * self.scale)
+            highest = float((np.iinfo(dtype).max - self.zero) * self.scale)
+            f_max = max(lowest, highest)
         if not f_max > 0:
             raise SourceError(
                 f"zero = {self.zero:g} leaves no range: the largest reading is {f_max:g}"
             )
-        pitch_m = None if self.pitch_mm is None else self.pitch_mm / 1000
+        pitch_m = None
+        if self.pitch_mm is not None:
+            pitch_m = self.pitch_mm / 1000
         return Skin(self.n_rows or 0, self.n_cols or 0, f_max, self.unit, pitch_m)
 
     def framing(self, n_bytes: int) -> Framing:
@@ -114,15 +119,16 @@ class BoardSettings(GridLayout):
         digits = "".join(self.start.split())
         pairs = [digits[k : k + 2] for k in range(0, len(digits), 2)]
         start = _bytes_of("start", "".join("00" if pair == "??" else pair for pair in pairs))
-        wild = frozenset(k for k, pair in enumerate(pairs) if pair == "??")
+        free_places = frozenset(k for k, pair in enumerate(pairs) if pair == "??")
         if self.needs_start and not start:
             raise SourceError("start is not stated; add start=HEX, the bytes that begin a frame")
-        if 0 in wild:
+        if 0 in free_places:
             raise SourceError("start: the first byte has to be stated")
+
         framing = Framing(
             n_bytes,
             start=start,
-            wild=wild,
+            wild=free_places,
             end=_bytes_of("end", self.end),
             sequence_bytes=n_bytes_of(self.sequence),
             sequence_at=self.sequence_at,
@@ -133,33 +139,40 @@ class BoardSettings(GridLayout):
             byte_order="big" if self.byte_order == "big" else "little",
             confirm=self.confirm,
         )
-        fields = self.fields()
-        found: dict[str, Any] = {
-            key: self._field(framing, key, *stated) for key, stated in fields.items()
-        }
-        del found["sequence"]
-        return dataclasses.replace(framing, **found)
+        # Places of numbers can be checked once that of the readings is known.
+        fields: dict[str, Any] = {}
+        for key, (kind, at) in self.fields().items():
+            fields[key] = self._field(framing, key, kind, at)
+        del fields["sequence"]
+        return dataclasses.replace(framing, **fields)
 
     def fields(self) -> dict[str, tuple[str, int | None]]:
         """Types and places of the numbers in a frame, by their keys."""
-        own = "none" if self.sequence_at is None else self.sequence
-        return {"sequence": (own, self.sequence_at), "stamp": (self.stamp, self.stamp_at)}
+        # After the start bytes, it has no place that could be wrong.
+        kind = "none" if self.sequence_at is None else self.sequence
+        return {"sequence": (kind, self.sequence_at), "stamp": (self.stamp, self.stamp_at)}
 
     def _field(self, framing: Framing, key: str, kind: str, at: int | None) -> Field | None:
         """Place of a number; SourceError if it is missing, or not outside the readings."""
         if kind == "sequence" and framing.sequence is None:
             raise SourceError(f"{key}: frames have no number; add sequence=u16")
-        if kind in ("none", "sequence"):
-            return framing.sequence if kind == "sequence" else None
+        if kind == "sequence":
+            return framing.sequence
+        if kind == "none":
+            return None
+
         n = n_bytes_of(kind)
         begin = framing.payload_at
         end = begin + framing.payload_bytes
-        if at is None or not (at + n <= begin or end <= at <= end + framing.after - n):
-            raise SourceError(
-                f"{key}_at: {'is not stated' if at is None else at}; allowed are the {n} bytes of "
-                f"{key} before the readings, 0..{begin - n}, or after them: skip, after"
-            )
-        return Field(at, n)
+        if at is not None and (at + n <= begin or end <= at <= end + framing.after - n):
+            return Field(at, n)
+        place = "is not stated"
+        if at is not None:
+            place = str(at)
+        raise SourceError(
+            f"{key}_at: {place}; allowed are the {n} bytes of {key} before the readings, "
+            f"0..{begin - n}, or after them: skip, after"
+        )
 
     def check_port(self) -> None:
         """Raise SourceError if a key of the port is wrong."""
@@ -176,20 +189,22 @@ class StreamSettings(BoardSettings):
     length_at: int | None = setting(None, f"place of the length: {AT}", low=0, high=MAX_AT)
 
     def fields(self) -> dict[str, tuple[str, int | None]]:
-        own = {"first": (self.first, self.first_at), "length": (self.length, self.length_at)}
-        return super().fields() | own
+        of_stream = {"first": (self.first, self.first_at), "length": (self.length, self.length_at)}
+        return super().fields() | of_stream
 
     def framing(self, n_bytes: int) -> Framing:
-        n_all = n_bytes // np.dtype(self.dtype).itemsize
+        itemsize = np.dtype(self.dtype).itemsize
+        n_all = n_bytes // itemsize
         n = n_all if self.piece is None else self.piece
         if (self.piece is None) != (self.first == "none") or n > n_all:
             raise SourceError(
                 f"piece: goes with first=u16, and is at most {n_all}, the readings of the skin"
             )
-        found = super().framing(n * np.dtype(self.dtype).itemsize)
-        if found.length and self.needs_start and not found.is_strong:
+
+        framing = super().framing(n * itemsize)
+        if framing.length and self.needs_start and not framing.is_strong:
             raise SourceError("length: needs a CRC of 16 bits or more; add checksum=crc16")
-        return found
+        return framing
 
 
 @dataclass(frozen=True)
@@ -210,9 +225,10 @@ class UdpSettings(StreamSettings):
     def check_port(self) -> None:
         for key in ("bind", "sender"):
             value = getattr(self, key)
+            if value is None:
+                continue
             try:
-                if value is not None and ipaddress.ip_address(value).version != 4:
-                    raise ValueError
+                ipaddress.IPv4Address(value)
             except ValueError:
                 raise SourceError(f"{key}: {shown(value)} is no IPv4 address") from None
 
@@ -246,7 +262,9 @@ KINDS: dict[str, type[BoardSettings]] = {
 
 def n_bytes_of(kind: str) -> int:
     """Bytes of a type of numbers, as u16; 0 of none."""
-    return 0 if kind == "none" else int(kind[1:]) // 8
+    if kind == "none":
+        return 0
+    return int(kind[1:]) // 8
 
 
 def _bytes_of(key: str, text: str) -> bytes:
@@ -266,10 +284,11 @@ def split_source(source: str) -> tuple[str, str, dict[str, str]]:
     """Kind, address and query of "KIND:ADDRESS?KEY=VALUE&KEY=VALUE". Raises SourceError if a part
     of the query is no KEY=VALUE, or a key is stated twice.
     """
-    kind, _, rest = source.partition(":")
-    address, _, query = rest.partition("?")
+    kind, _, target = source.partition(":")
+    address, _, query = target.partition("?")
     values: dict[str, str] = {}
-    for part in query.split("&") if query else ():
+    parts = query.split("&") if query else []
+    for part in parts:
         key, equals, value = part.partition("=")
         if not (key and equals):
             raise SourceError(f"{kind}:{address}: {shown(part)} is no KEY=VALUE")
@@ -282,10 +301,12 @@ def split_source(source: str) -> tuple[str, str, dict[str, str]]:
 def read_settings(kind: str, query: Mapping[str, str]) -> BoardSettings:
     """Settings of a kind of board, by query and profile; SparseskinError if not allowed."""
     cls = KINDS[kind]
-    own = dict(query)
-    profile = own.pop("profile", None)
-    stated = {} if profile is None else read_profile(profile, cls)
-    return cls.from_mapping(stated | typed(cls, own, "profile"))
+    of_query = dict(query)
+    profile = of_query.pop("profile", None)
+    of_profile = {}
+    if profile is not None:
+        of_profile = read_profile(profile, cls)
+    return cls.from_mapping(of_profile | typed(cls, of_query, "profile"))
 
 
 def typed(cls: type[Settings], query: Mapping[str, str], *more: str) -> dict[str, Any]:
@@ -304,26 +325,31 @@ def read_profile(name: str, cls: type[BoardSettings]) -> dict[str, Any]:
     name if it comes with the package, or the path of a .toml file. Raises SourceError if there is
     none, or it is no TOML of known keys.
     """
-    own = name.endswith(".toml") or "/" in name
-    path = Path(name) if own else PROFILES / f"{name}.toml"
-    if not own and not (re.fullmatch(r"\w+", name) and path.is_file()):
+    is_path = name.endswith(".toml") or "/" in name
+    path = Path(name) if is_path else PROFILES / f"{name}.toml"
+    is_name = re.fullmatch(r"\w+", name) is not None
+    if not is_path and not (is_name and path.is_file()):
         hint = did_you_mean(name, profile_names())
         raise SourceError(f"profile: there is no {shown(name)}{hint}; or the path of a .toml file")
-    known = {field.name for kind in KINDS.values() for field in dataclasses.fields(kind)}
+
+    all_keys = {field.name for kind in KINDS.values() for field in dataclasses.fields(kind)}
     values = read_toml(path)
     values.pop("about", None)
     for key, value in values.items():
-        if key not in known:
-            raise SourceError(f"profile {name}: {key}: unknown key{did_you_mean(key, known)}")
+        if key not in all_keys:
+            raise SourceError(f"profile {name}: {key}: unknown key{did_you_mean(key, all_keys)}")
+        # A list of arbitration ids is a text in the name of a source.
         if isinstance(value, list):
             values[key] = ",".join(map(str, value))
+
+    # A profile may also state keys of other ports.
     fields = {field.name for field in dataclasses.fields(cls)}
-    found = {key: value for key, value in values.items() if key in fields}
+    of_class = {key: value for key, value in values.items() if key in fields}
     try:
-        cls.from_mapping(found)
+        cls.from_mapping(of_class)
     except SparseskinError as error:
         raise SourceError(f"profile {name}: {error}") from error
-    return found
+    return of_class
 
 
 def read_toml(path: Path) -> dict[str, Any]:

@@ -81,17 +81,29 @@ def describe_board(
         if not address:
             raise SourceError("nothing follows; expected " + _FORMS[kind])
         settings = read_settings(kind, query)
-        given: dict[str, Any] = {"n_rows": n_rows, "n_cols": n_cols, "f_max": f_max, "unit": unit}
-        own = {key for key in given if getattr(settings, key) not in (None, "raw")}
-        missing = {k: v for k, v in given.items() if v is not None and k not in own}
+        of_sensor: dict[str, Any] = {
+            "n_rows": n_rows,
+            "n_cols": n_cols,
+            "f_max": f_max,
+            "unit": unit,
+        }
+        stated_keys = {key for key in of_sensor if getattr(settings, key) not in (None, "raw")}
+        missing = {
+            key: value
+            for key, value in of_sensor.items()
+            if value is not None and key not in stated_keys
+        }
         settings = dataclasses.replace(settings, **missing)
+
         decoder = settings.decoder()
         skin = settings.skin()
         check_stated_shape(*skin.shape, n_rows, n_cols, "the source")
         for key in ("f_max", "unit"):
-            found = getattr(settings, key)
-            if given[key] not in (None, found):
-                raise SourceError(f"{key} = {given[key]} is stated, but the source has {found}")
+            of_source = getattr(settings, key)
+            if of_sensor[key] not in (None, of_source):
+                text = f"{key} = {of_sensor[key]} is stated"
+                raise SourceError(f"{text}, but the source has {of_source}")
+
         framing = settings.framing(decoder.n_bytes)
         settings.check_port()
         if isinstance(settings, CanSettings):
@@ -113,9 +125,9 @@ def naming_board(name: str) -> Iterator[None]:
         raise SourceError(f"{name}: {error}") from error
 
 
+_PROFILE = next(iter(profile_names()), "NAME")
 _FORMS = {
-    "serial": "serial:DEVICE?profile=NAME, as serial:/dev/ttyUSB0?profile="
-    + next(iter(profile_names()), "NAME"),
+    "serial": f"serial:DEVICE?profile=NAME, as serial:/dev/ttyUSB0?profile={_PROFILE}",
     "udp": "udp:PORT?KEY=VALUE&KEY=VALUE, as udp:5005?n_rows=16&n_cols=16",
     "can": "can:CHANNEL?KEY=VALUE&KEY=VALUE, as can:can0?ids=0x100-0x11F&n_rows=16&n_cols=16",
 }
@@ -140,18 +152,23 @@ class BoardSource(LiveSource):
         self.name = board.name
         self.skin = board.skin
         self.counts = Counts()
-        self.n_unused = self.n_not_finite = self.n_gone = 0
+        self.n_unused = 0
+        self.n_not_finite = 0
+        self.n_gone = 0
         self._board = board
         self._port = PORTS[board.kind](board.address, board.settings, board.framing, self.counts)
         self._pieces = self._pieces_of(board)
-        if (stamp := board.framing.stamp) is not None:
-            s = board.settings
-            wrap = s.stamp_wrap or 1 << 8 * stamp.n_bytes
-            self.clock = DeviceClock(self.name, self._lines.append, 1e9 / s.stamp_hz, wrap)
+        stamp = board.framing.stamp
+        if stamp is not None:
+            wrap = board.settings.stamp_wrap or 1 << 8 * stamp.n_bytes
+            ns_per_tick = 1e9 / board.settings.stamp_hz
+            self.clock = DeviceClock(self.name, self._lines.append, ns_per_tick, wrap)
+
         self._waiting: deque[Arrived] = deque()
         self._last_ns = -1
         self._is_open = False
-        self._retry_at = self._gone_at = 0.0
+        self._retry_at = 0.0
+        self._gone_at = 0.0
         self._heard_at = time.monotonic()
         self._said_silent = False
         self._bytes_before = 0
@@ -172,14 +189,18 @@ class BoardSource(LiveSource):
         """
         if newest or len(self._waiting) < MAX_WAITING:
             self.receive(0.0 if self._waiting else wait_s)
+
         while newest and len(self._waiting) > 1:
             self._waiting.popleft()
             self.n_unused += 1
+
         while self._waiting:
             arrived_ns, frame = self._waiting.popleft()
             self.stamp = frame.stamp
-            forces = self._checked(self._board.decode(frame.payload, self._layout.missing_numbers))
+            readings = self._board.decode(frame.payload, self._layout.missing_numbers)
+            forces = self._checked(readings)
             if forces is not None:
+                # Frames that came in one read have one time of arrival.
                 self._last_ns = max(arrived_ns, self._last_ns + 1)
                 return self._last_ns, forces
         return None
@@ -205,6 +226,7 @@ class BoardSource(LiveSource):
             self._retry_at = self._gone_at + RETRY_S
             self._lines.append(f"{self.name}: the device is gone; waiting for it")
             return
+
         self._lines += (f"{self.name}: {line}" for line in self._port.lines)
         self._port.lines.clear()
         if arrived:
@@ -220,16 +242,18 @@ class BoardSource(LiveSource):
 
     def _reopen(self, wait_s: float) -> bool:
         """Try to open a device that is gone; False if it is not back."""
-        left_s = self._retry_at - time.monotonic()
-        if left_s > 0:
-            time.sleep(min(wait_s, left_s))
-            if wait_s < left_s:
+        wait_left_s = self._retry_at - time.monotonic()
+        if wait_left_s > 0:
+            time.sleep(min(wait_s, wait_left_s))
+            if wait_s < wait_left_s:
                 return False
+
         self._retry_at = time.monotonic() + RETRY_S
         try:
             self._port.open()
         except SourceError:
             return False
+
         if self._pieces is not None:
             self._pieces.reset()
         self._is_open = True
@@ -242,24 +266,34 @@ class BoardSource(LiveSource):
         if not (isinstance(board.settings, StreamSettings) and board.settings.piece):
             return None
         n = board.skin.n_rows * board.skin.n_cols
-        sequence = board.framing.sequence
         size = board.framing.payload_bytes // board.settings.piece
-        return Pieces(n, size, 1 << 8 * sequence.n_bytes if sequence else 0, self.counts)
+        sequence = board.framing.sequence
+        modulus = 0
+        if sequence is not None:
+            modulus = 1 << 8 * sequence.n_bytes
+        return Pieces(n, size, modulus, self.counts)
 
     def _whole(self, arrived: list[Arrived]) -> list[Arrived]:
         """The frames of the skin of those that arrived."""
         if self._pieces is None:
             return arrived
-        found = ((arrived_ns, self._pieces.add(piece)) for arrived_ns, piece in arrived)
-        return [(arrived_ns, frame) for arrived_ns, frame in found if frame is not None]
+        frames = []
+        for arrived_ns, piece in arrived:
+            frame = self._pieces.add(piece)
+            if frame is not None:
+                frames.append((arrived_ns, frame))
+        return frames
 
     def _why_silent(self) -> str:
         n_bytes = self._port.n_bytes - self._bytes_before
         self._bytes_before = self._port.n_bytes
         n = self._board.framing.n_bytes
         settings = self._board.settings
-        if n_bytes > n:  # one may wait for the start bytes of the next
-            baud = ", baud" if isinstance(settings, SerialSettings) else ""
+        # One frame may wait for the start bytes of the next.
+        if n_bytes > n:
+            baud = ""
+            if isinstance(settings, SerialSettings):
+                baud = ", baud"
             return (
                 f"{self.name}: {n_bytes} bytes came, but no frame of {n} bytes: check start, "
                 f"n_rows, n_cols, dtype, checksum{baud}{self._port.hint()}"
@@ -274,16 +308,20 @@ class BoardSource(LiveSource):
     def _checked(self, forces: Floats) -> Floats | None:
         """Readings clipped to the range; None if one is no number, and that is refused."""
         f_max = self.skin.f_max
-        if 0 <= forces.min() <= forces.max() <= f_max:  # False for a NaN
+        # False for a NaN.
+        if 0 <= forces.min() <= forces.max() <= f_max:
             return forces
+
         missing = ~np.isfinite(forces)
-        if missing.any():
-            if not self._layout.accepts_missing:
-                if not self.n_not_finite:
-                    line = f"{self.name}: a frame is dropped, as a reading is no number"
-                    self._lines.append(f"{line}; {NAN_HINT}")
-                self.n_not_finite += 1
-                return None
+        has_missing = bool(missing.any())
+        if has_missing and not self._layout.accepts_missing:
+            if not self.n_not_finite:
+                line = f"{self.name}: a frame is dropped, as a reading is no number"
+                self._lines.append(f"{line}; {NAN_HINT}")
+            self.n_not_finite += 1
+            return None
+
+        if has_missing:
             forces[missing] = np.nan
         if self._raw:
             return forces
@@ -308,9 +346,15 @@ class BoardSource(LiveSource):
 
     def report(self) -> dict[str, Any]:
         figures = self.figures()
-        lines = [f"dropped: {text}"] if (text := dropped_text(figures)) else []
-        if n := self.n_gone:
-            lines.append(f"the device was gone {n} {'time' if n == 1 else 'times'}")
+        lines = []
+        dropped = dropped_text(figures)
+        if dropped:
+            lines.append(f"dropped: {dropped}")
+        if self.n_gone:
+            times = "times"
+            if self.n_gone == 1:
+                times = "time"
+            lines.append(f"the device was gone {self.n_gone} {times}")
         return {"board": figures, "lines": lines}
 
     def close(self) -> None:
@@ -323,9 +367,12 @@ class BoardSource(LiveSource):
         first_ns: int | None = None
         while True:
             frame = self.next_frame(RETRY_S)
-            if frame is not None:
-                first_ns = frame[0] if first_ns is None else first_ns
-                yield frame[0] - first_ns, frame[1]
+            if frame is None:
+                continue
+            stamp_ns, forces = frame
+            if first_ns is None:
+                first_ns = stamp_ns
+            yield stamp_ns - first_ns, forces
 
 
 def dropped_text(figures: dict[str, int]) -> str:
@@ -340,5 +387,5 @@ def dropped_text(figures: dict[str, int]) -> str:
         "port_errors": "errors of the port",
         "dropped_bytes": "bytes",
     }
-    parts = [f"{figures[key]} {text}" for key, text in words.items() if figures.get(key)]
-    return ", ".join(parts)
+    counts = [f"{figures[key]} {text}" for key, text in words.items() if figures.get(key)]
+    return ", ".join(counts)

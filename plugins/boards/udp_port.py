@@ -40,7 +40,9 @@ class UdpPort(Port):
         self._sender: tuple[str, int] | None = None
         self._heard_s = 0.0
         self._socket: socket.socket | None = None
-        self._n_dropped = self._n_strangers = self._last_bytes = 0
+        self._n_dropped = 0
+        self._n_strangers = 0
+        self._last_bytes = 0
 
     @classmethod
     def check(cls, address: str, settings: Any) -> None:
@@ -65,42 +67,52 @@ class UdpPort(Port):
     def receive(self, wait_s: float) -> list[Arrived]:
         assert self._socket is not None
         frames: list[Arrived] = []
-        if not select.select([self._socket], [], [], wait_s)[0]:
+        readable, _, _ = select.select([self._socket], [], [], wait_s)
+        if not readable:
             return frames
         for _ in range(MAX_READS):
             try:
-                packet, notes, _, sender = self._socket.recvmsg(READ_BYTES, 64)
+                packet, ancillary, _, sender = self._socket.recvmsg(READ_BYTES, 64)
             except BlockingIOError:
                 break
             now_ns = time.monotonic_ns()
-            for level, kind, value in notes:
+            # The kernel states how many packets it has dropped so far.
+            for level, kind, value in ancillary:
                 if (level, kind) == (socket.SOL_SOCKET, SO_RXQ_OVFL):
                     self._n_dropped = max(self._n_dropped, int.from_bytes(value, sys.byteorder))
-            if not self._is_heard(sender, now_ns / 1e9):
-                self._n_strangers += 1
-                if self._n_strangers == 1:
-                    used = self._settings.sender or _text(self._sender)
-                    self.lines.append(
-                        f"packets of {_text(sender)} are dropped; {used} is the sender"
-                    )
-                continue
-            self.n_bytes += len(packet)
-            self._last_bytes = len(packet)
-            is_new = self._settings.sender is None and sender != self._sender
-            parser = self._new_parser() if is_new else self._parser
-            found = parser.feed(packet)
-            if found:
-                if is_new and self._sender is not None:
-                    self.lines.append(f"{_text(sender)} is the sender now")
-                self._parser = parser
-                self._sender = sender
-                self._heard_s = now_ns / 1e9
-            frames += [(now_ns, frame) for frame in found]
+            if self._is_heard(sender, now_ns / 1e9):
+                frames += self._taken(packet, sender, now_ns)
+            else:
+                self._drop_stranger(sender)
         return frames
 
+    def _taken(self, packet: bytes, sender: tuple[str, int], now_ns: int) -> list[Arrived]:
+        """Frames of a packet; a sender whose first packet has some is the one from now on."""
+        self.n_bytes += len(packet)
+        self._last_bytes = len(packet)
+        is_new = self._settings.sender is None and sender != self._sender
+        # Its numbers have nothing to do with those of the sender before.
+        parser = self._new_parser() if is_new else self._parser
+        accepted = parser.feed(packet)
+        if accepted:
+            if is_new and self._sender is not None:
+                self.lines.append(f"{_text(sender)} is the sender now")
+            self._parser = parser
+            self._sender = sender
+            self._heard_s = now_ns / 1e9
+        return [(now_ns, frame) for frame in accepted]
+
+    def _drop_stranger(self, sender: tuple[str, int]) -> None:
+        """Count a packet of another sender; the first one is logged."""
+        self._n_strangers += 1
+        if self._n_strangers == 1:
+            heard = self._settings.sender or _text(self._sender)
+            self.lines.append(f"packets of {_text(sender)} are dropped; {heard} is the sender")
+
     def _is_heard(self, sender: tuple[str, int], now_s: float) -> bool:
-        if (stated := self._settings.sender) is not None:
-            return bool(sender[0] == stated)
+        if self._settings.sender is not None:
+            address, _ = sender
+            return bool(address == self._settings.sender)
         return self._sender in (None, sender) or now_s - self._heard_s >= HOLD_S
 
     def close(self) -> None:
@@ -117,4 +129,7 @@ class UdpPort(Port):
 
 
 def _text(sender: tuple[str, int] | None) -> str:
-    return "nobody" if sender is None else f"{sender[0]}:{sender[1]}"
+    if sender is None:
+        return "nobody"
+    address, port = sender
+    return f"{address}:{port}"

@@ -95,7 +95,8 @@ def point_columns(
     exists = skin.skin.exists
     if skin.points is None:
         rows, cols = np.nonzero(exists)
-        of_points = (skin.pitch_m or UNKNOWN_PITCH_M) * np.stack([cols, rows, 0 * rows])
+        pitch_m = skin.pitch_m or UNKNOWN_PITCH_M
+        of_points = pitch_m * np.stack([cols, rows, np.zeros_like(rows)])
     else:
         of_points = skin.points.T
     names = ("x", "y", "z", "nx", "ny", "nz")
@@ -150,19 +151,23 @@ class Bridge(Node[S]):
         elif isinstance(message, Taxels | Truth | Reconstruction | Contacts):
             topic = message.topic
             skin = self.skins.get(message.patch)
+            # A frame that a later one refers to may be dropped.
             if message.seq != self._next.get(topic):
-                self._held[topic] = {}  # a frame that a later one refers to may be dropped
+                self._held[topic] = {}
             self._next[topic] = message.seq + 1
             for part in message.split(self._held[topic]):  # none before the first that is solved
                 self._send(part, skin)
         return ()
 
     def _send(self, message: Map | Contacts, skin: SkinState | None) -> None:
-        shape = message.forces.shape[1:] if isinstance(message, Map) else None
-        if skin is None or shape not in (None, skin.skin.shape):
-            # The skin may arrive on another connection than its frames.
+        # The skin may arrive on another connection than its frames.
+        fits = skin is not None
+        if skin is not None and isinstance(message, Map):
+            fits = message.forces.shape[1:] == skin.skin.shape
+        if skin is None or not fits:
             self.n_dropped += 1
             return
+
         self.send(message, skin)
         self.n_sent += 1
 
@@ -178,8 +183,10 @@ class Bridge(Node[S]):
         raise NotImplementedError
 
     def status(self) -> str:
-        dropped = f", {self.n_dropped} dropped" if self.n_dropped else ""
-        return f"{self.where()}: {self.n_sent} frames published{dropped}"
+        text = f"{self.where()}: {self.n_sent} frames published"
+        if self.n_dropped:
+            text += f", {self.n_dropped} dropped"
+        return text
 
     def report(self) -> dict[str, Any]:
         return {"bridge": {"where": self.where(), "sent": self.n_sent, "dropped": self.n_dropped}}
@@ -187,5 +194,9 @@ class Bridge(Node[S]):
 
 def patches_of(topics: Iterable[str]) -> list[str]:
     """Patches of which there is a skin, in order."""
-    found = (split_topic(topic) for topic in topics)
-    return list(dict.fromkeys(patch for patch, schema in found if schema == SkinState.schema))
+    patches: dict[str, None] = {}
+    for topic in topics:
+        patch, schema = split_topic(topic)
+        if schema == SkinState.schema:
+            patches[patch] = None
+    return list(patches)

@@ -5,14 +5,14 @@ rosbags, which needs no ROS.
 from __future__ import annotations
 
 import functools
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from sparseskin.messages import Contacts, SkinState
-from sparseskin.nodes.numerics.arrays import Floats
+from sparseskin.nodes.numerics.arrays import Doubles, Floats
 
 from .base import ROW
 from .contacts import COLOURS, numbers, shapes, wrench
@@ -41,7 +41,8 @@ def types(ros: int = 2) -> Any:
     """
     from rosbags.typesys import Stores, get_typestore
 
-    return get_typestore(Stores.ROS2_JAZZY if ros == 2 else Stores.ROS1_NOETIC)
+    store = Stores.ROS2_JAZZY if ros == 2 else Stores.ROS1_NOETIC
+    return get_typestore(store)
 
 
 def encoded(kind: str, **fields: object) -> bytes:
@@ -51,9 +52,9 @@ def encoded(kind: str, **fields: object) -> bytes:
 
 
 def _header(stamp: tuple[int, int], frame_id: str) -> Any:
-    made = types().types
-    time = made["builtin_interfaces/msg/Time"](*stamp)
-    return made["std_msgs/msg/Header"](stamp=time, frame_id=frame_id)
+    message_types = types().types
+    time = message_types["builtin_interfaces/msg/Time"](*stamp)
+    return message_types["std_msgs/msg/Header"](stamp=time, frame_id=frame_id)
 
 
 def _bytes_of(values: npt.NDArray[np.float32]) -> npt.NDArray[np.uint8]:
@@ -79,13 +80,16 @@ def cloud(stamp: tuple[int, int], frame_id: str, columns: Mapping[str, Floats]) 
     field = types().types["sensor_msgs/msg/PointField"]
     points = np.stack(list(columns.values()), axis=1)
     n, n_fields = points.shape
-    kinds = {name: UINT32 if name == ROW else FLOAT32 for name in columns}
+    fields = []
+    for k, name in enumerate(columns):
+        kind = UINT32 if name == ROW else FLOAT32
+        fields.append(field(name, 4 * k, kind, 1))
     return encoded(
         CLOUD,
         header=_header(stamp, frame_id),
         height=1,
         width=n,
-        fields=[field(name, 4 * k, kind, 1) for k, (name, kind) in enumerate(kinds.items())],
+        fields=fields,
         is_bigendian=False,
         point_step=4 * n_fields,
         row_step=4 * n_fields * n,
@@ -96,11 +100,15 @@ def cloud(stamp: tuple[int, int], frame_id: str, columns: Mapping[str, Floats]) 
 
 def array(values: Floats, labels: tuple[str, str] = ("rows", "cols")) -> bytes:
     """A std_msgs/Float32MultiArray of values (n_rows, n_cols), row after row."""
-    made = types().types
-    (n_rows, n_cols) = values.shape
-    dimension = made["std_msgs/msg/MultiArrayDimension"]
-    sides = [dimension(labels[0], n_rows, n_rows * n_cols), dimension(labels[1], n_cols, n_cols)]
-    layout = made["std_msgs/msg/MultiArrayLayout"](dim=sides, data_offset=0)
+    message_types = types().types
+    n_rows, n_cols = values.shape
+    row_label, col_label = labels
+    dimension = message_types["std_msgs/msg/MultiArrayDimension"]
+    sides = [
+        dimension(row_label, n_rows, n_rows * n_cols),
+        dimension(col_label, n_cols, n_cols),
+    ]
+    layout = message_types["std_msgs/msg/MultiArrayLayout"](dim=sides, data_offset=0)
     return encoded(ARRAY, layout=layout, data=np.ascontiguousarray(values, "<f4").reshape(-1))
 
 
@@ -109,18 +117,19 @@ def contact_array(contacts: Contacts) -> bytes:
     separated by commas.
     """
     columns = numbers(contacts)
-    return array(np.column_stack(list(columns.values())), ("contacts", ",".join(columns)))
+    table = np.column_stack(list(columns.values()))
+    return array(table, ("contacts", ",".join(columns)))
 
 
 def contact_wrench(stamp: tuple[int, int], contacts: Contacts) -> bytes:
     """A geometry_msgs/WrenchStamped of all contacts together, in the frame of the patch."""
-    made = types().types
-    vector = made["geometry_msgs/msg/Vector3"]
+    message_types = types().types
+    vector = message_types["geometry_msgs/msg/Vector3"]
     parts = [vector(*part.tolist()) for part in wrench(contacts)]
     return encoded(
         WRENCH,
         header=_header(stamp, contacts.patch),
-        wrench=made["geometry_msgs/msg/Wrench"](*parts),
+        wrench=message_types["geometry_msgs/msg/Wrench"](*parts),
     )
 
 
@@ -128,35 +137,68 @@ def contact_markers(stamp: tuple[int, int], contacts: Contacts, skin: SkinState)
     """A visualization_msgs/MarkerArray, which replaces the one before: of each contact a sphere, an
     arrow and a text, in the namespaces of these names, with its id.
     """
-    made = types().types
-    header = _header(stamp, contacts.patch)
-    point = made["geometry_msgs/msg/Point"]
-    vector = made["geometry_msgs/msg/Vector3"]
-    upright = made["geometry_msgs/msg/Quaternion"](0.0, 0.0, 0.0, 1.0)
-    never = made["builtin_interfaces/msg/Duration"](0, 0)
-    none = np.zeros(0, np.uint8)
-    texture = made["sensor_msgs/msg/CompressedImage"](header, "", none)
-    mesh = made["visualization_msgs/msg/MeshFile"]("", none)
-    colour = made["std_msgs/msg/ColorRGBA"](*COLOURS[contacts.trusted[0]])
+    colour = types().types["std_msgs/msg/ColorRGBA"](*COLOURS[contacts.trusted[0]])
+    marker = _marker_maker(_header(stamp, contacts.patch), colour)
 
-    rows: list[tuple[Any, ...]] = [("", SPHERE, DELETE_ALL, 0, (0.0, 0.0, 0.0), ORIGIN, (), "")]
-    for one in shapes(contacts, skin):
-        n = one.id
-        d = one.diameter
-        tail = one.tail
-        tip = one.centre
-        rows += [
-            ("sphere", SPHERE, ADD, n, (d, d, d / 4), tip, (), ""),
-            ("arrow", ARROW, ADD, n, (d / 4, d / 2, 0.0), ORIGIN, (tail, tip), ""),
-            ("text", TEXT, ADD, n, (0.0, 0.0, d), tail, (), one.text),
+    # The first one deletes those of the frame before.
+    markers = [marker("", SPHERE, 0, (0.0, 0.0, 0.0), ORIGIN, action=DELETE_ALL)]
+    for shape in shapes(contacts, skin):
+        number = shape.id
+        d = shape.diameter
+        tail = shape.tail
+        tip = shape.centre
+        markers += [
+            marker("sphere", SPHERE, number, (d, d, d / 4), tip),
+            marker("arrow", ARROW, number, (d / 4, d / 2, 0.0), ORIGIN, ends=(tail, tip)),
+            marker("text", TEXT, number, (0.0, 0.0, d), tail, text=shape.text),
         ]
-    markers = [
-        made["visualization_msgs/msg/Marker"](
-            *(header, name, number, kind, action),
-            made["geometry_msgs/msg/Pose"](point(*at.tolist()), upright),
-            *(vector(*scale), colour, never, False, [point(*end.tolist()) for end in ends]),
-            *([], "", texture, [], text, "", mesh, False),
-        )
-        for name, kind, action, number, scale, at, ends, text in rows
-    ]
     return encoded(MARKERS, markers=markers)
+
+
+def _marker_maker(header: Any, colour: Any) -> Callable[..., Any]:
+    """A function that makes markers of one header and colour."""
+    message_types = types().types
+    point = message_types["geometry_msgs/msg/Point"]
+    vector = message_types["geometry_msgs/msg/Vector3"]
+
+    # What all markers share; members that none uses are empty.
+    upright = message_types["geometry_msgs/msg/Quaternion"](0.0, 0.0, 0.0, 1.0)
+    never = message_types["builtin_interfaces/msg/Duration"](0, 0)
+    none = np.zeros(0, np.uint8)
+    texture = message_types["sensor_msgs/msg/CompressedImage"](header, "", none)
+    mesh = message_types["visualization_msgs/msg/MeshFile"]("", none)
+
+    def marker(
+        name: str,
+        kind: int,
+        number: int,
+        scale: tuple[float, float, float],
+        place: Doubles,
+        action: int = ADD,
+        ends: Sequence[Doubles] = (),
+        text: str = "",
+    ) -> Any:
+        pose = message_types["geometry_msgs/msg/Pose"](point(*place.tolist()), upright)
+        return message_types["visualization_msgs/msg/Marker"](
+            header=header,
+            ns=name,
+            id=number,
+            type=kind,
+            action=action,
+            pose=pose,
+            scale=vector(*scale),
+            color=colour,
+            lifetime=never,
+            frame_locked=False,
+            points=[point(*end.tolist()) for end in ends],
+            colors=[],
+            texture_resource="",
+            texture=texture,
+            uv_coordinates=[],
+            text=text,
+            mesh_resource="",
+            mesh_file=mesh,
+            mesh_use_embedded_materials=False,
+        )
+
+    return marker

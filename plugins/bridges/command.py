@@ -42,14 +42,14 @@ def configure(parser: argparse.ArgumentParser) -> None:
         "down: where it is behind, the oldest messages are dropped and counted.",
     )
     for name, cls in bridges().items():
-        one = add(name, _bridge, cls.HELP)
-        one.description = f"{cls.HELP[0].upper()}{cls.HELP[1:]}, until it ends or Ctrl-C."
-        one.set_defaults(bridge=name)
+        command = add(name, _bridge, cls.HELP)
+        command.description = f"{cls.HELP[0].upper()}{cls.HELP[1:]}, until it ends or Ctrl-C."
+        command.set_defaults(bridge=name)
         if "port" in {entry["key"] for entry in cls.Settings.described()}:
-            stated = "port of 127.0.0.1; 0: a free one"
-            one.add_argument("--port", type=whole(0), help=stated)
-        add_set(one, "another setting of the bridge, see docs/howto/bridges.md")
-        add_graph(one)
+            about = "port of 127.0.0.1; 0: a free one"
+            command.add_argument("--port", type=whole(0), help=about)
+        add_set(command, "another setting of the bridge, see docs/howto/bridges.md")
+        add_graph(command)
 
 
 def _bridge(arguments: argparse.Namespace) -> int:
@@ -59,6 +59,7 @@ def _bridge(arguments: argparse.Namespace) -> int:
     values = stated_values(arguments.set, cls.Settings.described())
     if getattr(arguments, "port", None) is not None:
         values["port"] = arguments.port
+
     graph = choose_graph(arguments.graph)
     writers = graph.writers()
     patches = values.setdefault("patches", patches_of(writers))
@@ -67,9 +68,11 @@ def _bridge(arguments: argparse.Namespace) -> int:
     settings = cls.Settings.from_mapping(values)
     for topic in cls.inputs(settings):
         if topic not in writers:
-            known = patches_of(writers)
-            hint = did_you_mean(split_topic(topic)[0], known)
-            raise SettingsError(f"patches: {graph.label} has no {split_topic(topic)[0]!r}{hint}")
+            patch, _ = split_topic(topic)
+            hint = did_you_mean(patch, patches_of(writers))
+            raise SettingsError(f"patches: {graph.label} has no {patch!r}{hint}")
+
+    # Those of its topics that this graph publishes.
     read = {*cls.inputs(settings), *cls.optional_inputs(settings)}
     topics = [topic for topic in writers if topic in read]
     name = f"{arguments.bridge}_{os.getpid()}"
@@ -77,4 +80,6 @@ def _bridge(arguments: argparse.Namespace) -> int:
         code, summary = run_beside(graph, arguments.bridge, name, values, topics)
     print_ends(summary["nodes"])
     sent = summary["nodes"][name].get("bridge", {}).get("sent", 0)
-    return code if sent else code or EXIT_NOTHING
+    if not sent:
+        return code or EXIT_NOTHING
+    return code

@@ -20,8 +20,16 @@ from .base import UNKNOWN_PITCH_M
 FULL = 10.0
 """Total force of a contact, in ranges of a taxel, whose arrow is as long as the skin. Chosen."""
 STATE = (
-    *("total", "total_sd", "x", "y", "z", "x_velocity", "y_velocity", "z_velocity"),
-    *("area", "age_s"),
+    "total",
+    "total_sd",
+    "x",
+    "y",
+    "z",
+    "x_velocity",
+    "y_velocity",
+    "z_velocity",
+    "area",
+    "age_s",
 )
 """Numbers of a contact in the state of a policy: force and its deviation, in the skin's unit; place
 and its velocity, mm; area, mm2; where no pitch is known, taxels; time since the begin, seconds."""
@@ -73,16 +81,18 @@ def shapes(contacts: Contacts, skin: SkinState) -> list[Shape]:
     else:
         extent = float(np.ptp(skin.points[:, :3], axis=0).max())
         side = skin.pitch_m or extent / math.sqrt(len(skin.points))
+
     lengths = contacts.total * (extent / (FULL * skin.f_max))
     tails = centres + lengths[:, None] * normals
-    return [
-        Shape(number, centre, tail, side * math.sqrt(area), f"{number}: {total:.3g} {skin.unit}")
-        for number, centre, tail, area, total in zip(
-            *(contacts.id.tolist(), centres, tails, contacts.area.tolist()),
-            contacts.total.tolist(),
-            strict=True,
-        )
-    ]
+    ids = contacts.id.tolist()
+    areas = contacts.area.tolist()
+    totals = contacts.total.tolist()
+    drawn = []
+    for k, number in enumerate(ids):
+        diameter = side * math.sqrt(areas[k])
+        text = f"{number}: {totals[k]:.3g} {skin.unit}"
+        drawn.append(Shape(number, centres[k], tails[k], diameter, text))
+    return drawn
 
 
 def numbers(contacts: Contacts) -> dict[str, Floats]:
@@ -97,57 +107,69 @@ def as_json(contacts: Contacts) -> dict[str, Any]:
     columns = contacts.columns()
     names = [name for name in columns if name not in ("stamp_ns", "trusted")]
     rows = zip(*(columns[name].tolist() for name in names), strict=True)
+    entries = []
+    for row in rows:
+        # Numbers that are not known are NaN.
+        entries.append({name: v for name, v in zip(names, row, strict=True) if v == v})
     return {
         "n": contacts.id.size,
         "total": float(contacts.total.sum()),
         "trusted": contacts.trusted[0],
-        "contacts": [{n: v for n, v in zip(names, row, strict=True) if v == v} for row in rows],
+        "contacts": entries,
         "events": [{"id": number, "event": event} for number, event in contacts.named_events],
     }
 
 
 def json_schema(contacts: Contacts) -> dict[str, Any]:
     """JSON Schema of `as_json`."""
-    number, flag, text = ({"type": name} for name in ("number", "boolean", "string"))
+    number = {"type": "number"}
+    flag = {"type": "boolean"}
+    text = {"type": "string"}
     contact = dict.fromkeys(contacts.columns(), number) | {"over": flag, "sliding": flag}
 
     def rows(properties: dict[str, Any]) -> dict[str, Any]:
         return {"type": "array", "items": {"type": "object", "properties": properties}}
 
     properties = {
-        **{"n": number, "total": number, "trusted": flag},
-        **{"contacts": rows(contact), "events": rows({"id": number, "event": text})},
+        "n": number,
+        "total": number,
+        "trusted": flag,
+        "contacts": rows(contact),
+        "events": rows({"id": number, "event": text}),
     }
     return {"type": "object", "title": "sparseskin.Contacts", "properties": properties}
 
 
 def state_names(patch: str, k: int) -> list[str]:
     """Names of the numbers of `state`."""
-    places = range(1, k + 1)
-    each = [f"{patch}.contact_{place}.{name}" for place in places for name in STATE]
-    return [f"{patch}.trusted", *each]
+    ranks = range(1, k + 1)
+    names = [f"{patch}.contact_{place}.{name}" for place in ranks for name in STATE]
+    return [f"{patch}.trusted", *names]
 
 
 def state(contacts: Contacts, k: int) -> Floats:
     """1 if the frame is trusted, then the numbers `STATE` of each of the k contacts of the largest
     forces, the largest first; zeros where there are fewer. float32 (1 + k * len(STATE),).
     """
+    # In taxels where no pitch is known.
     place = contacts.place_mm
+    if place is None:
+        place = _in_plane(contacts.centre)
     velocity = contacts.velocity_mm_s
-    area = contacts.area_mm2
-    table = np.column_stack(
-        [
-            *(contacts.total, contacts.total_sd),
-            _in_plane(contacts.centre) if place is None else place,
-            _in_plane(contacts.velocity) if velocity is None else velocity,
-            *(contacts.area if area is None else area, contacts.age_s),
-        ]
-    )
-    strongest = table[np.argsort(-contacts.total, kind="stable")[:k]].ravel()
-    made = np.zeros(1 + k * len(STATE), np.float32)
-    made[0] = contacts.trusted[0]
-    made[1 : 1 + strongest.size] = strongest
-    return made
+    if velocity is None:
+        velocity = _in_plane(contacts.velocity)
+    area: Any = contacts.area_mm2
+    if area is None:
+        area = contacts.area
+    columns = [contacts.total, contacts.total_sd, place, velocity, area, contacts.age_s]
+    table = np.column_stack(columns)
+
+    order = np.argsort(-contacts.total, kind="stable")
+    strongest = table[order[:k]].ravel()
+    vector = np.zeros(1 + k * len(STATE), np.float32)
+    vector[0] = contacts.trusted[0]
+    vector[1 : 1 + strongest.size] = strongest
+    return vector
 
 
 def _in_plane(values: Floats) -> Floats:

@@ -11,6 +11,7 @@ import functools
 import os
 import socket
 import types
+from collections.abc import Iterable
 from dataclasses import dataclass
 from threading import Event, Thread
 from typing import Any
@@ -66,29 +67,32 @@ def message_type(kind: str) -> type[Any]:
     members = {member: _member(form) for member, form in cdr.types().fielddefs[kind][1]}
     form = {"typename": f"{package}::msg::dds_::{name}_"}
     body = {"__annotations__": members, "__module__": __name__}
-    new = types.new_class(name, (IdlStruct,), form, lambda made: made.update(body))
-    made: type[Any] = dataclass(new)
-    made.serialize = lambda self, *_, **__: self.cdr
-    made.deserialize = classmethod(lambda cls, data, *_, **__: ready(cls, bytes(data)))
-    return made
+    new = types.new_class(name, (IdlStruct,), form, lambda namespace: namespace.update(body))
+    message: type[Any] = dataclass(new)
+    message.serialize = lambda self, *_, **__: self.cdr
+    message.deserialize = classmethod(lambda cls, data, *_, **__: ready(cls, bytes(data)))
+    return message
 
 
 def ready(cls: type[Any], data: bytes) -> Any:
     """A message of a `message_type` of ready made CDR, its encapsulation header included."""
-    made = object.__new__(cls)
-    made.cdr = data
-    return made
+    message = object.__new__(cls)
+    message.cdr = data
+    return message
 
 
 def _member(form: Any) -> Any:
     """Type of cyclonedds of a member, by its form in a definition of rosbags."""
-    node, of = form
-    made: Any = idl.sequence if node == Nodetype.SEQUENCE else idl.array
-    if node in (Nodetype.SEQUENCE, Nodetype.ARRAY):  # of which the first may have a limit
-        return made[_member(of[0]), of[1]] if of[1] else made[_member(of[0])]
+    node, detail = form
+    if node in (Nodetype.SEQUENCE, Nodetype.ARRAY):
+        list_type: Any = idl.sequence if node == Nodetype.SEQUENCE else idl.array
+        entry, length = detail
+        if not length:  # a sequence without a limit
+            return list_type[_member(entry)]
+        return list_type[_member(entry), length]
     if node == Nodetype.NAME:
-        return message_type(of)
-    return {"string": str, "bool": bool}.get(of[0]) or getattr(idl, of[0])
+        return message_type(detail)
+    return {"string": str, "bool": bool}.get(detail[0]) or getattr(idl, detail[0])
 
 
 _domains: dict[int, tuple[str, Domain]] = {}
@@ -99,26 +103,30 @@ class Member:
     """A participant in a domain; `where` it listens, in words."""
 
     def __init__(self, domain: int, interface: str, name: str) -> None:
-        before = _udp_sockets()
+        sockets_before = _udp_sockets()
         try:
             if interface and _domains.get(domain, ("",))[0] != interface:
-                _domains[domain] = interface, Domain(domain, _config(interface))
+                _domains[domain] = (interface, Domain(domain, _config(interface)))
             self.participant = DomainParticipant(domain, Qos(Policy.Userdata(b"enclave=/;")))
-            made = {fd: at for fd, at in _udp_sockets().items() if fd not in before}
-            for fd in made if interface == "lo" else ():
-                # cyclonedds 11 binds what it receives by to all interfaces, whichever is stated.
-                with socket.socket(fileno=os.dup(fd)) as one:
-                    one.setsockopt(socket.SOL_SOCKET, socket.SO_BINDTODEVICE, b"lo\0")
+            address_of = {
+                fd: address for fd, address in _udp_sockets().items() if fd not in sockets_before
+            }
+            if interface == "lo":
+                _bind_to_loopback(address_of)
         except (DDSException, OSError) as error:
+            network = interface or "any interface"
+            reason = getattr(error, "msg", "") or error
             raise SettingsError(
-                f"interface: cannot join DDS domain {domain} by {interface or 'any interface'}: "
-                f"{getattr(error, 'msg', '') or error}"
+                f"interface: cannot join DDS domain {domain} by {network}: {reason}"
             ) from error
-        addresses = sorted({*made.values()} - {"0.0.0.0"})
+
+        addresses = sorted({*address_of.values()} - {"0.0.0.0"})
         by = interface or ", ".join(addresses) or "the interface of CYCLONEDDS_URI"
         self.where = f"DDS domain {domain} by {by}"
         self._discovered = BuiltinDataReader(self.participant, BuiltinTopicDcpsPublication)
         self._publications: dict[str, tuple[str, bool]] = {}
+
+        # The node and its endpoints are announced beside it.
         topic = Topic(self.participant, "ros_discovery_info", message_type(NODES))
         qos = Qos(Policy.Durability.TransientLocal, _hash_of(NODES), base=quality(1))
         self._nodes = DataWriter(self.participant, topic, qos=qos)
@@ -154,20 +162,22 @@ class Member:
 
         def take(wait_s: float, n: int) -> list[bytes]:
             waiting.wait(duration(seconds=wait_s))
-            found = (getattr(sample, "cdr", None) for sample in reader.take(N=n))
-            return [data for data in found if data is not None]  # or a note that its writer is gone
+            # A sample without bytes notes that its writer is gone.
+            payloads = (getattr(sample, "cdr", None) for sample in reader.take(N=n))
+            return [data for data in payloads if data is not None]
 
         return Reader(take, lambda: reader.get_sample_lost_status().total_count)
 
     def publications(self) -> dict[str, tuple[str, bool]]:
         """Type of the messages on each topic, and True if they are sent reliably."""
-        for found in self._discovered.take(N=BATCH):
-            name = getattr(found, "topic_name", "")
-            of = getattr(found, "type_name", "")
+        for publication in self._discovered.take(N=BATCH):
+            name = getattr(publication, "topic_name", "")
+            type_name = getattr(publication, "type_name", "")
+            # Topics of DDS alone, and services, have other names.
             if name.startswith(f"{TOPIC_PREFIX}/"):
-                reliable = Policy.Reliability.BestEffort not in found.qos
-                kind = of.replace("::dds_::", "/").replace("::", "/").removesuffix("_")
-                self._publications[name.removeprefix(TOPIC_PREFIX)] = kind, reliable
+                reliable = Policy.Reliability.BestEffort not in publication.qos
+                kind = type_name.replace("::dds_::", "/").replace("::", "/").removesuffix("_")
+                self._publications[name.removeprefix(TOPIC_PREFIX)] = (kind, reliable)
         return self._publications
 
     def close(self) -> None:
@@ -185,50 +195,69 @@ class Member:
         """
         types = cdr.types().types
         writer = self._nodes
-        stated = None
+        announced = None
 
         def gids(guids: list[UUID]) -> list[Any]:
             gid = types["rmw_dds_common/msg/Gid"]
             return [gid(np.frombuffer(guid.bytes, np.uint8)) for guid in guids]
 
+        def are_of_jazzy(readers: Any) -> bool:
+            for reader in readers:
+                of_reader = writer.get_matched_subscription_data(reader)
+                if of_reader and _hash_of(NODES) in of_reader.qos:
+                    return True
+            return False
+
         while not self._left.wait(ANNOUNCE_S):
             with contextlib.suppress(DDSException):  # of a reader that has left meanwhile
                 readers = writer.get_matched_subscriptions()
-                now = readers, [*self._readers], [*self._writers]
-                found = map(writer.get_matched_subscription_data, readers)
-                if now != stated and any(one and _hash_of(NODES) in one.qos for one in found):
-                    ends = map(gids, now[1:])
+                state = (readers, [*self._readers], [*self._writers])
+                if state != announced and are_of_jazzy(readers):
+                    _, own_readers, own_writers = state
+                    ends = (gids(own_readers), gids(own_writers))
                     node = types["rmw_dds_common/msg/NodeEntitiesInfo"]("/", name, *ends)
-                    (own,) = gids([self.participant.guid])
-                    data = cdr.encoded(NODES, gid=own, node_entities_info_seq=[node])
+                    (gid_of_participant,) = gids([self.participant.guid])
+                    data = cdr.encoded(NODES, gid=gid_of_participant, node_entities_info_seq=[node])
                     writer.write(ready(writer.topic.data_type, data))
-                    stated = now
+                    announced = state
+
+
+def _bind_to_loopback(descriptors: Iterable[int]) -> None:
+    """Bind sockets to the loopback interface: cyclonedds 11 binds what it receives by to all
+    interfaces, whichever is stated.
+    """
+    for fd in descriptors:
+        with socket.socket(fileno=os.dup(fd)) as copy:
+            copy.setsockopt(socket.SOL_SOCKET, socket.SO_BINDTODEVICE, b"lo\0")
 
 
 def _udp_sockets() -> dict[int, str]:
     """IPv4 addresses of the UDP sockets of this process, by their file descriptors."""
-    found = {}
+    addresses = {}
     for name in os.listdir("/proc/self/fd"):
         try:
             if os.readlink(f"/proc/self/fd/{name}").startswith("socket:"):
-                with socket.socket(fileno=os.dup(int(name))) as one:
-                    if (one.family, one.type) == (socket.AF_INET, socket.SOCK_DGRAM):
-                        found[int(name)] = one.getsockname()[0]
+                with socket.socket(fileno=os.dup(int(name))) as copy:
+                    if (copy.family, copy.type) == (socket.AF_INET, socket.SOCK_DGRAM):
+                        addresses[int(name)] = copy.getsockname()[0]
         except OSError:
             continue  # it was closed meanwhile
-    return found
+    return addresses
 
 
 def _config(interface: str) -> str:
     """Configuration of a domain. Multicast does not work on the loopback interface of Linux, so
     there participants look for each other by number.
     """
-    local = interface == "lo"
-    peers = '<Peers><Peer Address="127.0.0.1"/></Peers>' if local else ""
+    peers = ""
+    multicast = "default"
+    if interface == "lo":
+        peers = '<Peers><Peer Address="127.0.0.1"/></Peers>'
+        multicast = "false"
     return (
         f"<CycloneDDS><Domain Id='any'><General><Interfaces><NetworkInterface "
         f"name={quoteattr(interface)}/></Interfaces>"
-        f"<AllowMulticast>{'false' if local else 'default'}</AllowMulticast></General>"
+        f"<AllowMulticast>{multicast}</AllowMulticast></General>"
         f"<Discovery><ParticipantIndex>auto</ParticipantIndex>"
         f"<MaxAutoParticipantIndex>60</MaxAutoParticipantIndex>{peers}</Discovery>"
         f"<Internal><Watermarks><WhcHigh>{WHC_HIGH}</WhcHigh></Watermarks></Internal>"
@@ -238,15 +267,17 @@ def _config(interface: str) -> str:
 
 def _hash_of(kind: str) -> Any:
     """Hash of a type of messages, as nodes of Jazzy and later state it for a writer or reader."""
-    found = NODES_HASH if kind == NODES else cdr.types().hash_rihs01(kind)
-    return Policy.Userdata(f"typehash={found};".encode())
+    hash_text = NODES_HASH if kind == NODES else cdr.types().hash_rihs01(kind)
+    return Policy.Userdata(f"typehash={hash_text};".encode())
 
 
 def quality(depth: int, reliable: bool = True) -> Qos:
     """Quality of service: the last `depth` samples are kept, in the CDR that ROS 2 uses."""
-    wait = duration(milliseconds=BLOCK_MS)
+    reliability: Any = Policy.Reliability.BestEffort
+    if reliable:
+        reliability = Policy.Reliability.Reliable(duration(milliseconds=BLOCK_MS))
     return Qos(
-        Policy.Reliability.Reliable(wait) if reliable else Policy.Reliability.BestEffort,
+        reliability,
         Policy.History.KeepLast(depth),
         Policy.DataRepresentation(use_cdrv0_representation=True),
     )

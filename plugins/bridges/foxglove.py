@@ -43,15 +43,15 @@ class FoxgloveBridge(Bridge[FoxgloveSettings]):
         settings.check()
         import foxglove
 
-        own = foxglove.Context()
-        self._channels = Channels(own)
+        context_of_bridge = foxglove.Context()
+        self._channels = Channels(context_of_bridge)
         try:
             self._server = foxglove.start_server(
                 name=f"sparseskin {context.name}",
                 host=settings.host,
                 port=settings.port,
                 capabilities=[foxglove.Capability.Time],
-                context=own,
+                context=context_of_bridge,
                 message_backlog_size=BACKLOG,
             )
         except (RuntimeError, OSError, ValueError) as error:
@@ -79,9 +79,10 @@ class FoxgloveBridge(Bridge[FoxgloveSettings]):
 
     def send(self, message: Message, skin: SkinState) -> None:
         late_ms = (self.context.clock.now_ns() - message.stamp_ns) / 1e6
-        now = {"seq": message.seq, "latency_ms": late_ms}
-        for topic, schema, make in contents(message, skin, now):
+        figures = {"seq": message.seq, "latency_ms": late_ms}
+        for topic, schema, make in contents(message, skin, figures):
             channel = self._channels.of(topic, schema)
+            # A message that nobody reads is not made.
             if channel.has_sinks():
                 channel.log(make(), log_time=message.stamp_ns)
 

@@ -25,8 +25,14 @@ NONE = "none"
 """Values of `Layout.time`: the times at which messages were recorded; no times."""
 STAMP = "header.stamp"
 SOURCES = (
-    *("sensor_id", "sensor_name", "device_id", "board_id", "module_id", "skin_id"),
-    *("side", "hand"),
+    "sensor_id",
+    "sensor_name",
+    "device_id",
+    "board_id",
+    "module_id",
+    "skin_id",
+    "side",
+    "hand",
 )
 """Members of messages that state which skin they are of."""
 
@@ -55,8 +61,12 @@ class MessageReader:
         self.time_unit = "ns"
         self._decode = Decoder(definitions, kind).decode
         members = definitions.members(kind)
-        self._has_header = any(one.name == "header" and one.kind == HEADER for one in members)
-        stamps = [one.name for one in members if one.kind == TIME and one.n_entries is None]
+        self._has_header = any(
+            member.name == "header" and member.kind == HEADER for member in members
+        )
+        stamps = [
+            member.name for member in members if member.kind == TIME and member.n_entries is None
+        ]
 
         #: Where the times stand in a message; "" if they are those of the recording.
         self.time_path = layout.time
@@ -92,7 +102,9 @@ class MessageReader:
         for name in SOURCES:
             if isinstance(message.get(name), int | str):
                 return str(message[name])
-        return str(message["header"]["frame_id"]) if self._has_header else ""
+        if not self._has_header:
+            return ""
+        return str(message["header"]["frame_id"])
 
     def check_frame(self, message: Message) -> None:
         """Raise OtherFrameError if the frame of a message is not the stated one."""
@@ -120,13 +132,15 @@ def fields_that_fit(message: Message, layout: Layout) -> dict[str, Numbers]:
     """
     if message.kind == CLOUD:
         names = only_channel(fields_of(message, readings=True), layout.channel)
-        found = {name: numbers_at(message, name) for name in names}
+        fields = {name: numbers_at(message, name) for name in names}
     elif message.kind in KINDS:
-        found = {"": numbers_at(message, "")}
+        fields = {"": numbers_at(message, "")}
     else:
-        found = paths_of(message, layout.channel)
-    fitting = {field: one for field, one in found.items() if _fits(one, layout.n_stated)}
-    return fitting or found
+        fields = paths_of(message, layout.channel)
+    fitting = {
+        field: numbers for field, numbers in fields.items() if _fits(numbers, layout.n_stated)
+    }
+    return fitting or fields
 
 
 def choose_field(message: Message, layout: Layout, where: str) -> str:
@@ -135,12 +149,15 @@ def choose_field(message: Message, layout: Layout, where: str) -> str:
     """
     if layout.field:
         return layout.field
+
     fitting = fields_that_fit(message, layout)
     if not fitting:
         raise SourceError(f"{where}: {message.kind} holds no list of numbers")
     if len(fitting) > 1:
-        listed = ", ".join(f"{printable(field)} {size_text(one)}" for field, one in fitting.items())
-        fault = f"{message.kind} holds {len(fitting)} fields of numbers: {listed[:300]}"
+        fields_text = ", ".join(
+            f"{printable(field)} {size_text(numbers)}" for field, numbers in fitting.items()
+        )
+        fault = f"{message.kind} holds {len(fitting)} fields of numbers: {fields_text[:300]}"
         options = [{"field": field} for field in fitting]
         raise UnstatedError(f"{where}: {fault}; state field", *options)
     return next(iter(fitting))
@@ -148,7 +165,8 @@ def choose_field(message: Message, layout: Layout, where: str) -> str:
 
 def size_text(numbers: Numbers) -> str:
     """Sizes of the axes of a message: "(4 x 3)"."""
-    return f"({' x '.join(str(axis.size) for axis in numbers.axes)})"
+    sizes = " x ".join(str(axis.size) for axis in numbers.axes)
+    return f"({sizes})"
 
 
 def _fits(numbers: Numbers, n_stated: int | None) -> bool:
@@ -156,5 +174,5 @@ def _fits(numbers: Numbers, n_stated: int | None) -> bool:
     axis.
     """
     n = numbers.values.size
-    n_last = numbers.axes[-1].size if len(numbers.axes) > 1 else 1
-    return n_stated in (None, n, n // n_last)
+    n_channels = numbers.axes[-1].size if len(numbers.axes) > 1 else 1
+    return n_stated in (None, n, n // n_channels)

@@ -45,20 +45,22 @@ class LatestFrames:
     """
 
     def __init__(self, graph: str | None, patch: str, with_contacts: bool) -> None:
-        found = choose_graph(graph)
-        self._label = found.label
+        running = choose_graph(graph)
+        self._label = running.label
         self._with_contacts = with_contacts
         patch, _, self._part = patch.partition("/")
-        schemas = [SkinState.schema, Reconstruction.schema, *[Contacts.schema] * with_contacts]
+        schemas = [SkinState.schema, Reconstruction.schema]
+        if with_contacts:
+            schemas.append(Contacts.schema)
         topics = [topic_of(patch, schema) for schema in schemas]
-        writers = found.writers()
+        writers = running.writers()
         for topic in topics:
             if topic not in writers:
-                asked = topic.endswith(Contacts.schema)
-                hint = "; start it with reconstructor.contacts=true" if asked else ""
-                hint = hint or did_you_mean(topic, writers)
+                hint = did_you_mean(topic, writers)
+                if topic.endswith(Contacts.schema):
+                    hint = "; start it with reconstructor.contacts=true"
                 raise GraphError(f"{self._label}: publishes no {topic}{hint}")
-        self._stream = TopicStream(found, *topics)
+        self._stream = TopicStream(running, *topics)
         self._news = Condition()
         self._latest: Latest | None = None
         self._number = 0
@@ -78,7 +80,9 @@ class LatestFrames:
             self._news.wait_for(lambda: self._why_ended or self._number > after, timeout_s)
             if self._why_ended:
                 raise GraphError(self._why_ended)
-            return self._latest if self._number > after else None
+            if self._number <= after:
+                return None
+            return self._latest
 
     def close(self) -> None:
         """Stop reading."""
@@ -112,8 +116,9 @@ class LatestFrames:
                 raise GraphError(
                     f"{message.topic}: patch: {patches[0]} is one of {len(patches)}{hint}"
                 )
+            # A frame that a later one refers to may be lost.
             if message.seq != self._seq + 1:
-                self._held.clear()  # a frame that a later one refers to may be lost
+                self._held.clear()
             self._seq = message.seq
             self._frame = self._part_of(message.split(self._held))
             if not self._with_contacts:
@@ -123,12 +128,16 @@ class LatestFrames:
 
     def _part_of(self, parts: list[Part]) -> Part | None:
         """The message of the patch that is read, of those of a batch."""
-        return next((one for one in parts if self._part in ("", one.patch)), None)
+        for part in parts:
+            if self._part in ("", part.patch):
+                return part
+        return None
 
     def _publish(self, contacts: Contacts | None) -> None:
         frame = self._frame
         if frame is None or self._skin is None:
             return
+        # Contacts of a frame that was lost have no frame to go with.
         if contacts is not None and contacts.stamp_ns != frame.stamp_ns:
             return
         with self._news:

@@ -38,6 +38,7 @@ class Member:
         options = dict.fromkeys(
             ("use_global_arguments", "enable_rosout", "start_parameter_services"), False
         )
+        # rclpy's own services are not needed.
         unserved = Parameter("start_type_description_service", value=False)
         self._node = rclpy.create_node(
             name, context=self._context, parameter_overrides=[unserved], **options
@@ -56,34 +57,36 @@ class Member:
 
     def reader(self, topic: str, kind: str, depth: int, reliable: bool) -> Reader:
         """A reader of these messages."""
-        held = deque[bytes](maxlen=depth)
+        waiting = deque[bytes](maxlen=depth)
         lost = deque[Any](maxlen=1)
         events = SubscriptionEventCallbacks(message_lost=lambda event: lost.append(event))
         self._node.create_subscription(
             _message_type(kind),
             topic,
-            lambda data: held.append(data),  # rclpy asks for a signature
+            lambda data: waiting.append(data),  # rclpy asks for a signature
             _quality(depth, reliable),
             event_callbacks=events,
             raw=True,
         )
 
         def take(wait_s: float, n: int) -> list[bytes]:
-            before = -1
-            while before < len(held) < n:
-                before = len(held)
-                self._executor.spin_once(timeout_sec=0 if before else wait_s)
-            return [held.popleft() for _ in islice(range(n), len(held))]
+            n_before = -1
+            while n_before < len(waiting) < n:
+                n_before = len(waiting)
+                # Only the first message is waited for.
+                self._executor.spin_once(timeout_sec=0 if n_before else wait_s)
+            return [waiting.popleft() for _ in islice(range(n), len(waiting))]
 
         return Reader(take, lambda: lost[0].total_count if lost else 0)
 
     def publications(self) -> dict[str, tuple[str, bool]]:
         """Type of the messages on each topic, and True if they are sent reliably."""
-        return {
-            topic: (info.topic_type, info.qos_profile.reliability != ReliabilityPolicy.BEST_EFFORT)
-            for topic, _ in self._node.get_topic_names_and_types()
-            for info in self._node.get_publishers_info_by_topic(topic)
-        }
+        publications = {}
+        for topic, _ in self._node.get_topic_names_and_types():
+            for info in self._node.get_publishers_info_by_topic(topic):
+                reliable = info.qos_profile.reliability != ReliabilityPolicy.BEST_EFFORT
+                publications[topic] = (info.topic_type, reliable)
+        return publications
 
     def close(self) -> None:
         """Leave the domain."""

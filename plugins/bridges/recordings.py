@@ -109,7 +109,9 @@ class RosRecording(Recording):
         check_installed(file.name, "ros", "rosbags", error=SourceError)
         self.tally = Tally("messages")
         self._layout = file.layout
-        self._name = file.name if not file.parts else str(Path(file.name).parent)
+        self._name = file.name
+        if file.parts:
+            self._name = str(Path(file.name).parent)
         paths = (file.name, *file.parts)
         self._work = workspace_of(paths)
         self._metadata = _metadata(paths)
@@ -122,11 +124,16 @@ class RosRecording(Recording):
         if self._stream is None:
             self._stream = self._choose()
         stream = self._stream
+        time_unit = stream.reader.time_unit
+        time_name = stream.reader.time_path
+        if stream.uses_log:
+            time_unit = "ns"
+            time_name = "log time"
         return Head(
             stream.first.numbers.axes,
             is_timed=self._layout.time != NONE,
-            time_unit="ns" if stream.uses_log else stream.reader.time_unit,
-            time_name="log time" if stream.uses_log else stream.reader.time_path,
+            time_unit=time_unit,
+            time_name=time_name,
             notes=stream.notes,
         )
 
@@ -134,6 +141,7 @@ class RosRecording(Recording):
         self.head()
         stream = self._stream
         assert stream is not None
+
         dtype = stream.first.numbers.values.dtype.newbyteorder("=")
         size = frames_per_block(stream.first.numbers.values.size)
         self.tally.begin()
@@ -148,6 +156,8 @@ class RosRecording(Recording):
             received = reads.received(message)
             if received is None:
                 continue
+
+            # Several skins may send on one topic.
             if not self._layout.frame_id:
                 self._check_frames(received, messages, stream)
             times.append(reads.time(message, received, n + 1))
@@ -157,6 +167,7 @@ class RosRecording(Recording):
                 yield Block(numbers, times)
                 numbers = np.empty((size, *stream.shape), dtype)
                 times = []
+
         if times:
             self.tally.take(len(times), len(times))
             yield Block(numbers[: len(times)], times)
@@ -167,21 +178,27 @@ class RosRecording(Recording):
         layout = self._layout
         topics = self._topics()
         if layout.topic:
-            listed = {topic: of.kind for topic, of in topics.items()}
-            choose(listed, layout.topic, self._name, "topics")
-        wanted = [layout.topic] if layout.topic else self._likely(topics)
-        firsts = self._firsts({topic: topics[topic] for topic in wanted})
-        ways = [(topic, field) for topic, first in firsts.items() for field in first.fields]
-        if len(ways) > 1:
-            raise self._unstated(firsts, ways)
-        topic, field = ways[0]
-        first = firsts[topic]
-        reader = first.reader
+            kinds = {topic: described.kind for topic, described in topics.items()}
+            choose(kinds, layout.topic, self._name, "topics")
+            likely = [layout.topic]
+        else:
+            likely = self._likely(topics)
+
+        firsts = self._firsts({topic: topics[topic] for topic in likely})
+        choices = [
+            (topic, field) for topic, of_topic in firsts.items() for field in of_topic.fields
+        ]
+        if len(choices) > 1:
+            raise self._unstated(firsts, choices)
+        topic, field = choices[0]
+        of_topic = firsts[topic]
+        reader = of_topic.reader
         notes = [f"topic {topic}"]
         if reader.field != field:
             reader.field = field
             notes.append(f"field {field}")
-        received = first.received._replace(numbers=first.fields[field])
+
+        received = of_topic.received._replace(numbers=of_topic.fields[field])
         uses_log = layout.time == LOG or received.time is None
         if uses_log and reader.time_path == STAMP:
             notes.append("its headers have no stamps: times of the recording")
@@ -192,22 +209,25 @@ class RosRecording(Recording):
     def _topics(self) -> dict[str, Topic]:
         topics: dict[str, Topic] = {}
         for storage in self._storages:
-            for topic, of in storage.topics().items():
-                topics.setdefault(topic, of)
+            for topic, described in storage.topics().items():
+                topics.setdefault(topic, described)
         return topics
 
     def _likely(self, topics: dict[str, Topic]) -> list[str]:
         """Topics that can hold frames: of types that are frames by themselves, or that ROS does not
         have; or else all. Those without a message are left out.
         """
-        counts = self._metadata.counts if self._metadata else {}
+        counts: dict[str, int] = {}
+        if self._metadata:
+            counts = self._metadata.counts
+        # Those of a recorder that was killed are not true.
         if not (self._is_closed and any(counts.values())):
-            counts = {}  # of a recorder that was killed, and are not true
-        filled = {topic: of for topic, of in topics.items() if counts.get(topic) != 0}
+            counts = {}
+        filled = {topic: described for topic, described in topics.items() if counts.get(topic) != 0}
         likely = [
             topic
-            for topic, of in filled.items()
-            if of.kind in KINDS or not Definitions(of.ros).is_of_ros(of.kind)
+            for topic, described in filled.items()
+            if described.kind in KINDS or not Definitions(described.ros).is_of_ros(described.kind)
         ]
         return likely or list(filled)
 
@@ -215,17 +235,20 @@ class RosRecording(Recording):
         """The first message with numbers of each topic that has one."""
         readers: dict[str, MessageReader] = {}
         faults: dict[str, str] = {}
-        for topic, of in topics.items():
+        for topic, described in topics.items():
             try:
-                readers[topic] = self._reader(of)
+                readers[topic] = self._reader(described)
             except SourceError as error:
                 faults[topic] = str(error)
+
+        # Messages at the begin may be empty or malformed.
         firsts: dict[str, First] = {}
         tries = dict.fromkeys(readers, 0)
         for message in self._messages(readers):
             topic = message.topic
             if topic in firsts or tries[topic] >= MAX_TRIES:
                 continue
+
             try:
                 firsts[topic] = self._first(readers[topic], plain_message(message.data))
             except (EmptyMessageError, OtherFrameError) as error:
@@ -235,28 +258,37 @@ class RosRecording(Recording):
             except SourceError as error:
                 faults[topic] = str(error)
                 tries[topic] += 1
-            if all(one in firsts or tries[one] >= MAX_TRIES for one in readers):
+            if all(name in firsts or tries[name] >= MAX_TRIES for name in readers):
                 break
-        if firsts:
-            return firsts
-        if len(topics) == 1 and faults:
-            raise SourceError(f"{self._name}: {next(iter(topics))}: {next(iter(faults.values()))}")
-        abouts = []
-        for topic, of in [*topics.items()][:8]:
-            parts = [printable(of.kind), *([faults[topic]] if topic in faults else [])]
-            abouts.append(f"{printable(topic)} ({': '.join(parts)})")
-        held = ", ".join(abouts) or "no message"
-        raise SourceError(f"{self._name}: no topic holds frames; it holds {held}")
 
-    def _reader(self, of: Topic) -> MessageReader:
-        definitions = Definitions(of.ros)
-        if of.text:
+        if not firsts:
+            raise self._without_frames(topics, faults)
+        return firsts
+
+    def _without_frames(self, topics: dict[str, Topic], faults: dict[str, str]) -> SourceError:
+        """The error that no topic holds frames, with what was wrong with each."""
+        if len(topics) == 1 and faults:
+            (topic,) = topics
+            (fault,) = faults.values()
+            return SourceError(f"{self._name}: {topic}: {fault}")
+        abouts = []
+        for topic, described in [*topics.items()][:8]:
+            about = printable(described.kind)
+            if topic in faults:
+                about = f"{about}: {faults[topic]}"
+            abouts.append(f"{printable(topic)} ({about})")
+        contents = ", ".join(abouts) or "no message"
+        return SourceError(f"{self._name}: no topic holds frames; it holds {contents}")
+
+    def _reader(self, described: Topic) -> MessageReader:
+        definitions = Definitions(described.ros)
+        if described.text:
             try:
-                definitions.add(of.kind, of.text, of.form)
+                definitions.add(described.kind, described.text, described.form)
             except SourceError:
-                if not definitions.is_of_ros(of.kind):
+                if not definitions.is_of_ros(described.kind):
                     raise
-        return MessageReader(definitions, of.kind, self._layout)
+        return MessageReader(definitions, described.kind, self._layout)
 
     def _first(self, reader: MessageReader, data: bytes) -> First:
         message = reader.decode(data)
@@ -264,6 +296,7 @@ class RosRecording(Recording):
         if reader.field:
             received = reader.read_frame(data)
             return First(reader, {reader.field: received.numbers}, received)
+
         fields = fields_that_fit(message, self._layout)
         if not fields:
             raise EmptyMessageError("holds no list of numbers")
@@ -271,20 +304,23 @@ class RosRecording(Recording):
         received = Received(numbers, reader.time_of(message), reader.frame_of(message))
         return First(reader, fields, received)
 
-    def _unstated(self, firsts: dict[str, First], ways: list[tuple[str, str]]) -> UnstatedError:
+    def _unstated(self, firsts: dict[str, First], choices: list[tuple[str, str]]) -> UnstatedError:
         """The error that names the topics and fields of which each can be meant."""
         options = []
         texts = []
-        for topic, field in ways:
-            option = {} if self._layout.topic else {"topic": topic}
+        for topic, field in choices:
+            option = {}
+            if not self._layout.topic:
+                option["topic"] = topic
             if field and field != self._layout.field:
                 option["field"] = field
             options.append(option)
             kind = firsts[topic].reader.kind.rpartition("/")[2]
             size = size_text(firsts[topic].fields[field])
-            texts.append(f"{printable(topic)} {printable(field)}".strip() + f" {kind} {size}")
-        what = "topics of frames" if len(firsts) == len(ways) else "fields of frames"
-        fault = f"holds {len(ways)} {what}, which is not stated: {', '.join(texts)[:400]}"
+            place = f"{printable(topic)} {printable(field)}".strip()
+            texts.append(f"{place} {kind} {size}")
+        noun = "topics of frames" if len(firsts) == len(choices) else "fields of frames"
+        fault = f"holds {len(choices)} {noun}, which is not stated: {', '.join(texts)[:400]}"
         keys = " and ".join(dict.fromkeys(key for option in options for key in option))
         return UnstatedError(f"{self._name}: {fault}; state {keys}", *options)
 
@@ -294,16 +330,19 @@ class RosRecording(Recording):
         """Raise UnstatedError if a message is of another frame than the first one."""
         if received.frame_id == stream.first.frame_id:
             return
+
+        # A few more messages tell which frames there are.
         frame_ids = {stream.first.frame_id: None, received.frame_id: None}
         for message in messages:
             try:
-                frame_ids[stream.reader.read_frame(plain_message(message.data)).frame_id] = None
+                other = stream.reader.read_frame(plain_message(message.data))
             except SourceError:
                 continue
+            frame_ids[other.frame_id] = None
             if len(frame_ids) >= MAX_FRAME_IDS:
                 break
-        listed = ", ".join(repr(printable(one[:40])) for one in frame_ids)
-        fault = f"{stream.topic}: messages of {len(frame_ids)} frames, {listed}"
+        names = ", ".join(repr(printable(frame_id[:40])) for frame_id in frame_ids)
+        fault = f"{stream.topic}: messages of {len(frame_ids)} frames, {names}"
         options = [{"frame_id": frame_id} for frame_id in frame_ids if frame_id]
         raise UnstatedError(f"{self._name}: {fault}; state frame_id", *options)
 
@@ -326,7 +365,9 @@ class RosRecording(Recording):
 
     def _account(self, topic: str) -> None:
         """Name the messages that the file does not hold, as far as their number is known."""
-        n_stated = self._metadata.counts.get(topic) if self._metadata else None
+        n_stated = None
+        if self._metadata:
+            n_stated = self._metadata.counts.get(topic)
         n_missing = (n_stated or 0) - self.tally.n_items
         losses = [loss for storage in self._storages for loss in storage.losses]
         if n_missing > 0:
@@ -362,7 +403,8 @@ class _Reads:
         except SourceError:
             self._tally.drop(MALFORMED)
         else:
-            return received if self._has_shape(received) else None
+            if self._has_shape(received):
+                return received
         return None
 
     def time(self, message: Recorded, received: Received, number: int) -> int | float:
@@ -425,27 +467,32 @@ def in_order(messages: Iterator[Recorded]) -> Iterator[Recorded]:
         heapq.heappush(waiting, (message.log_ns, number, message))
         n_bytes += len(message.data)
         while len(waiting) > WINDOW or n_bytes > WINDOW_BYTES:
-            first = heapq.heappop(waiting)[2]
-            n_bytes -= len(first.data)
-            yield first
+            _, _, earliest = heapq.heappop(waiting)
+            n_bytes -= len(earliest.data)
+            yield earliest
     while waiting:
-        yield heapq.heappop(waiting)[2]
+        _, _, earliest = heapq.heappop(waiting)
+        yield earliest
 
 
 def _metadata(paths: tuple[str, ...]) -> Metadata | None:
     """The metadata of a bag whose files are all read; None: of others. Raises SourceError if its
     messages are compressed in a form that is not read.
     """
-    found = metadata_of(Path(paths[0]).parent)
+    metadata = metadata_of(Path(paths[0]).parent)
     names = {Path(path).name.removesuffix(".zstd") for path in paths}
-    if found is None or names != {name.removesuffix(".zstd") for name in found.files}:
+    if metadata is None or names != {name.removesuffix(".zstd") for name in metadata.files}:
         return None
-    if found.mode not in ("", "none") and found.form not in ("", "zstd"):
-        raise SourceError(f"{paths[0]}: {found.form} is not read; {CONVERT}")
-    return found
+    if metadata.mode not in ("", "none") and metadata.form not in ("", "zstd"):
+        raise SourceError(f"{paths[0]}: {metadata.form} is not read; {CONVERT}")
+    return metadata
 
 
-_ROS_2 = "ROS 2"
-_SUFFIXES = {".bag": "ROS 1", ".db3": _ROS_2, ".mcap": _ROS_2}
-_MORE = {".active": "ROS 1, of a killed recorder", ".zstd": "ROS 2, compressed"}
-ROS = Format({**_SUFFIXES, **_MORE}, RosRecording)
+_SUFFIXES = {
+    ".bag": "ROS 1",
+    ".db3": "ROS 2",
+    ".mcap": "ROS 2",
+    ".active": "ROS 1, of a killed recorder",
+    ".zstd": "ROS 2, compressed",
+}
+ROS = Format(_SUFFIXES, RosRecording)

@@ -87,12 +87,13 @@ class Ros2Bridge(Bridge[Ros2Settings]):
         settings = self.settings
         forms_of = dict.fromkeys(settings.maps, OF_MAPS) | {Contacts.schema: OF_CONTACTS}
         self._announced.add(patch)
-        for topic, forms in ((topic_of(patch, schema), of) for schema, of in forms_of.items()):
-            for kind in (kind for kind in forms if kind in settings.messages):
-                ending, of, _ = forms[kind]
-                self._writers[f"{kind} {topic}"] = self._member.writer(
-                    topic + ending, of, settings.history, settings.reliable
-                )
+        for schema, forms in forms_of.items():
+            topic = topic_of(patch, schema)
+            for kind, (ending, message_type, _) in forms.items():
+                if kind in settings.messages:
+                    self._writers[f"{kind} {topic}"] = self._member.writer(
+                        topic + ending, message_type, settings.history, settings.reliable
+                    )
 
     def where(self) -> str:
         return str(self._member.where)
@@ -103,6 +104,7 @@ class Ros2Bridge(Bridge[Ros2Settings]):
         forms = OF_CONTACTS if isinstance(message, Contacts) else OF_MAPS
         for kind, (_, _, make) in forms.items():
             writer = self._writers.get(f"{kind} {message.topic}")
+            # A message that nobody reads is not made.
             if writer is not None and writer.readers():
                 self.n_dropped += not writer.write(make(message, skin))
 

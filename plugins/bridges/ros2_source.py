@@ -69,8 +69,8 @@ class Ros2Address(Address):
     def open(self) -> DriverSource:
         self.check()
         # The frames are arranged already, by the labels of the messages, too.
-        rest = self.layout.stating({key: getattr(EMPTY, key) for key in ARRANGED})
-        return DriverSource(replace(self, layout=rest), frames(self.source, self.layout))
+        remaining = self.layout.stating({key: getattr(EMPTY, key) for key in ARRANGED})
+        return DriverSource(replace(self, layout=remaining), frames(self.source, self.layout))
 
 
 class TopicFrames:
@@ -106,18 +106,20 @@ class TopicFrames:
         except SourceError as error:
             self._refuse(str(error))
             return None
+
         numbers = received.numbers
         if self._first is None:
             self._arrangement = arrange(self._layout, numbers.axes, self._source)
             self._first = received
-        first = self._first
+        reference = self._first
         assert self._arrangement is not None
-        if received.frame_id != first.frame_id:
-            both = f"messages of several frames: {first.frame_id!r}, {received.frame_id!r}"
-            raise SourceError(f"{self._source}: {both[:120]}; state frame_id")
-        if numbers.values.shape != first.numbers.values.shape:
+        if received.frame_id != reference.frame_id:
+            frame_ids = f"messages of several frames: {reference.frame_id!r}, {received.frame_id!r}"
+            raise SourceError(f"{self._source}: {frame_ids[:120]}; state frame_id")
+        if numbers.values.shape != reference.numbers.values.shape:
             self._refuse("a shape that is not that of the first one")
             return None
+
         stamp_ns = self._stamp_ns(received)
         if self._last_ns - RESTART_NS < stamp_ns <= self._last_ns:
             self._refuse("a stamp that is not after the one before it")
@@ -167,13 +169,17 @@ def frames(source: str, layout: Layout = EMPTY) -> Iterator[tuple[int, npt.NDArr
                 heard_s = time.monotonic()
             elif time.monotonic() - heard_s > query.timeout_s:
                 raise SourceError(f"{source}: nothing came for {query.timeout_s:g} s")
+
             for data in messages:
                 stamped = read.frame(data)
                 if stamped is not None:
                     yield stamped
+
+            # Logged each time that their number has doubled.
             n_lost = reader.n_lost()
-            if read.n_refused + n_lost > 2 * n_logged:
-                n_logged = read.n_refused + n_lost
+            n_dropped = read.n_refused + n_lost
+            if n_dropped > 2 * n_logged:
+                n_logged = n_dropped
                 counts = f"{read.n_refused} messages refused, {n_lost} lost"
                 print(f"{source}: {counts}; last refusal: {read.why}", file=sys.stderr, flush=True)
 
@@ -187,7 +193,9 @@ def _publication(member: Any, topic: str, timeout_s: float) -> tuple[str, bool]:
         if topic in published:
             return published[topic]
         time.sleep(0.01)
-    raise SourceError(
-        f"ros2:{topic}: nobody publishes there on {member.where} within {timeout_s:g} s"
-        + (did_you_mean(topic, sorted(published)[:20]) if published else "")
-    )
+
+    fault = f"nobody publishes there on {member.where} within {timeout_s:g} s"
+    hint = ""
+    if published:
+        hint = did_you_mean(topic, sorted(published)[:20])
+    raise SourceError(f"ros2:{topic}: {fault}{hint}")

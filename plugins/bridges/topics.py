@@ -32,13 +32,17 @@ def join(domain: int | None, interface: str | None, name: str) -> Any:
 
     Raises SettingsError if that cannot be done.
     """
-    domain = ros_domain() if domain is None else domain
-    interface = ros_interface() if interface is None else interface
+    if domain is None:
+        domain = ros_domain()
+    if interface is None:
+        interface = ros_interface()
     name = re.sub(r"\W", "_", f"sparseskin_{name}", flags=re.ASCII)
-    if not (why := _why_no_rclpy()):
+    why = _why_no_rclpy()
+    if not why:
         from . import rcl
 
         return rcl.Member(domain, interface, name)
+    # A terminal of ROS 2 whose rclpy is of another Python has none that can be imported.
     if find_spec("rclpy"):
         print(f"rclpy: {why}; messages go by cyclonedds", file=sys.stderr, flush=True)
     from . import dds
@@ -68,10 +72,10 @@ def ros_interface() -> str:
     """
     if os.environ.get("ROS_LOCALHOST_ONLY") == "1":
         return RANGES["LOCALHOST"]
-    found = os.environ.get("ROS_AUTOMATIC_DISCOVERY_RANGE") or "SUBNET"
-    if found not in RANGES:
+    discovery_range = os.environ.get("ROS_AUTOMATIC_DISCOVERY_RANGE") or "SUBNET"
+    if discovery_range not in RANGES:
         raise SettingsError(
-            f"ROS_AUTOMATIC_DISCOVERY_RANGE: {found[:40]!r} is not allowed (allowed: "
+            f"ROS_AUTOMATIC_DISCOVERY_RANGE: {discovery_range[:40]!r} is not allowed (allowed: "
             f"{', '.join(RANGES)}); or state interface"
         )
-    return RANGES[found]
+    return RANGES[discovery_range]

@@ -81,7 +81,8 @@ class ActsPhi(SubsamplePhi):
         """Set the taxels of a frame; PhiError unless they are m ascending indices in 0..n-1."""
         if taxels.shape != (self.m,):
             raise PhiError(f"acts: {taxels.size} taxels are read; expected m = {self.m}")
-        if taxels[0] < 0 or taxels[-1] >= self.n or (taxels[1:] <= taxels[:-1]).any():
+        is_ascending = (taxels[1:] > taxels[:-1]).all()
+        if taxels[0] < 0 or taxels[-1] >= self.n or not is_ascending:
             raise PhiError(f"acts: the taxels are not ascending within 0..{self.n - 1}")
         self.rows = taxels
 
@@ -114,11 +115,13 @@ class ActsSearch:
             raise PhiError(f"acts: m = {m} is not allowed; allowed: 1..{n} (n = {n} taxels)")
         self.m = m
         self._threshold = threshold
+
         self._taxel_of_cell = np.full(exists.shape, -1, dtype=np.intp)
         self._taxel_of_cell[exists] = np.arange(n)
         self._numbers = np.arange(exists.size).reshape(exists.shape)
         self._steps = _steps(exists, m)
         self._offset = self._steps[0] // 2
+
         # -inf where no taxel is, or none was read yet.
         self._readings = np.empty(exists.shape, dtype=np.float32)
         self._unread = np.empty(exists.shape, dtype=np.bool_)
@@ -129,13 +132,16 @@ class ActsSearch:
         """Read a frame by `read`, of indices of taxels; return its m taxels, intp, ascending."""
         self._readings.fill(-np.inf)
         np.copyto(self._unread, self._exists)
+
         n_left = self.m - self._read(self._lattice(self._steps[0]), self.m, read)
         while n_left:
             n_most = min(n_left, max(1, self.m // N_ROUNDS))
-            chosen = self._to_refine(n_most)
-            if not chosen.size:
-                chosen = self._to_explore(n_most)
-            n_left -= self._read(chosen, n_left, read)
+            cells = self._to_refine(n_most)
+            # Where no force is left to refine, others are looked for.
+            if not cells.size:
+                cells = self._to_explore(n_most)
+            n_left -= self._read(cells, n_left, read)
+
         return np.sort(self._taxel_of_cell[self._exists & ~self._unread])
 
     def _read(self, cells: Indices, n_most: int, read: Read) -> int:
@@ -147,24 +153,32 @@ class ActsSearch:
 
     def _lattice(self, step: int) -> Indices:
         """Return the cells of a lattice that were not read yet."""
-        cells: Indices = self._part(self._numbers, step)[self._part(self._unread, step)]
+        numbers = self._part(self._numbers, step)
+        is_unread = self._part(self._unread, step)
+        cells: Indices = numbers[is_unread]
         return cells
 
     def _part(self, grid: npt.NDArray[Any], step: int) -> npt.NDArray[Any]:
         """Return the cells of a lattice, also those that were read."""
-        first = self._offset % step
-        return grid[first::step, first::step]
+        offset = self._offset % step
+        return grid[offset::step, offset::step]
 
     def _to_refine(self, n_most: int) -> Indices:
         """Return unread cells next to a force, the highest score first."""
+        # A cell of several lattices has the highest of their scores.
         self._score.fill(-1)
         for step in self._steps[1:]:
             highest, lowest = _around(self._part(self._readings, step))
-            wanted = self._part(self._unread, step) & (highest > self._threshold)
+            is_unread = self._part(self._unread, step)
+            next_to_force = is_unread & (highest > self._threshold)
             score = self._part(self._score, step)
-            np.maximum(score, (highest - lowest) * np.float32(step), out=score, where=wanted)
+            step_score = (highest - lowest) * np.float32(step)
+            np.maximum(score, step_score, out=score, where=next_to_force)
+
+        # The highest first; of equal ones, in the order of the cells.
         cells = np.flatnonzero(self._score >= 0)
-        order = np.argsort(-self._score.reshape(-1)[cells], kind="stable")
+        scores = self._score.reshape(-1)[cells]
+        order = np.argsort(-scores, kind="stable")
         return cells[order[:n_most]]
 
     def _to_explore(self, n_most: int) -> Indices:
@@ -173,7 +187,8 @@ class ActsSearch:
             cells = self._lattice(step)
             if cells.size:
                 n = min(n_most, cells.size)
-                return cells[np.linspace(0, cells.size - 1, n).astype(np.intp)]
+                spread = np.linspace(0, cells.size - 1, n).astype(np.intp)
+                return cells[spread]
         raise AssertionError("every taxel is read, but fewer than m")
 
 
@@ -181,8 +196,9 @@ def _steps(exists: npt.NDArray[np.bool_], m: int) -> list[int]:
     """Return the steps of the lattices, from the coarsest to 1, each half of the one before."""
     step = 1
     while step < max(exists.shape):
-        first = step // 2
-        if np.count_nonzero(exists[first::step, first::step]) <= max(1, COARSE_PART * m):
+        offset = step // 2
+        n_cells = np.count_nonzero(exists[offset::step, offset::step])
+        if n_cells <= max(1, COARSE_PART * m):
             break
         step *= 2
     return [step >> k for k in range(step.bit_length())]

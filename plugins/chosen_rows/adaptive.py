@@ -76,8 +76,9 @@ class AdaptivePhi(Phi):
     @classmethod
     def check_size(cls, n: int, m: int, seed: int, block: int) -> None:
         super().check_size(n, m, seed, block)
-        if m < (least := min(n, 1 + N_DETAILS)):
-            allowed = f"{least}..{n} (n = {n} taxels)"
+        m_min = min(n, 1 + N_DETAILS)
+        if m < m_min:
+            allowed = f"{m_min}..{n} (n = {n} taxels)"
             raise PhiError(f'phi "adaptive": m = {m} is not allowed; allowed: {allowed}')
 
     def _lay_out(self, exists: Mask) -> None:
@@ -87,15 +88,18 @@ class AdaptivePhi(Phi):
 
     def _arrange(self, exists: Mask) -> None:
         self.tree = Quadtree(exists, self.m)
-        arrays = np.array(exists.shape, dtype=np.intp), np.flatnonzero(exists)
-        self.fingerprint = fingerprint_of(self.kind, self.n, self.m, 1, *arrays)
+        grid = (np.array(exists.shape, dtype=np.intp), np.flatnonzero(exists))
+        self.fingerprint = fingerprint_of(self.kind, self.n, self.m, 1, *grid)
         self.rows: Indices = np.arange(self.m)
         self.chosen: Mask = np.zeros(self.tree.n_nodes, dtype=np.bool_)
         self.forget()
 
     def state_noise(self, sigma_end: float, f_max: float, clipped: bool = True) -> None:
-        self.bias = CLIP_MEAN * sigma_end if clipped else 0.0
-        sd = CLIP_SD * sigma_end if clipped else sigma_end
+        self.bias = 0.0
+        sd = sigma_end
+        if clipped:
+            self.bias = CLIP_MEAN * sigma_end
+            sd = CLIP_SD * sigma_end
         self.variance = sd**2
         self.untouched = max(UNTOUCHED_SIGMAS * sd, UNTOUCHED_FRACTION * f_max)
         self.forget()
@@ -129,18 +133,19 @@ class AdaptivePhi(Phi):
         measured = np.ones(self.n, dtype=np.bool_)
         measured[tree.n_tiles :] = chosen[tree.node_of_row[tree.n_tiles :]]
         n_measured = int(np.count_nonzero(measured))
-        n_more = self.m - n_measured
-        if not 0 <= n_more < N_DETAILS:
-            fault = f"nodes of {n_measured} measurements are chosen"
-            raise PhiError(f"adaptive: {fault}; expected m = {self.m}")
+        n_missing = self.m - n_measured
+        if not 0 <= n_missing < N_DETAILS:
+            counted = f"nodes of {n_measured} measurements are chosen"
+            raise PhiError(f"adaptive: {counted}; expected m = {self.m}")
 
-        measured[np.flatnonzero(~measured)[:n_more]] = True
+        measured[np.flatnonzero(~measured)[:n_missing]] = True
         self.chosen = chosen
         self.rows = np.flatnonzero(measured)
 
     def dense(self) -> npt.NDArray[np.float64]:
         """As of `Phi`, in float64 throughout."""
-        return np.array([self.tree.synthesis(row) for row in np.eye(self.n)[self.rows]])
+        unit_rows = np.eye(self.n)[self.rows]
+        return np.array([self.tree.synthesis(row) for row in unit_rows])
 
     def _forward(self, x: Floats, out: Floats) -> None:
         out[:] = self.tree.analysis(x)[self.rows]
@@ -186,9 +191,9 @@ class HeldRows:
         """Process measurements of rows of W, (k,)."""
         tree = self._tree
         tile = rows < tree.n_tiles
-        bias = self._phi.bias
+        bias: float | Doubles = self._phi.bias
         if tree.levels:
-            bias *= np.sqrt(tree.n_taxels[rows[tile]])
+            bias = bias * np.sqrt(tree.n_taxels[rows[tile]])
         self._tiles[rows[tile]] = np.maximum(values[tile] - bias, 0)
 
         places = tree.place_of_row[rows[~tile]]
@@ -202,11 +207,14 @@ class HeldRows:
             self.sums[nodes] = sums
 
             # Details that are not read again grow with the sum of their node.
-            scale = np.clip(sums / np.maximum(self.sums_read[nodes], TINY), 0, MOST_SCALED)
+            growth = sums / np.maximum(self.sums_read[nodes], TINY)
+            scale = np.clip(growth, 0, MOST_SCALED)
             scaled = self.details[nodes] * scale[:, None]
-            np.copyto(details, np.where(self._fresh[nodes], self._read[nodes], scaled))
+            details[:] = np.where(self._fresh[nodes], self._read[nodes], scaled)
             self.now[nodes] = details
-        return self._tree.forces if self._tree.levels else self._tiles
+        if not self._tree.levels:
+            return self._tiles
+        return self._tree.forces
 
     def changed2(self) -> Doubles:
         """Return the squared change of each node's details that its sum lets expect, (n_nodes,)."""
@@ -218,7 +226,8 @@ class HeldRows:
         """End a frame, of which all rows are read; return which nodes are untouched. What was read
         of a part of a node's details is not kept.
         """
-        whole = np.count_nonzero(self._fresh, axis=1) == self._tree.n_details
+        n_read = np.count_nonzero(self._fresh, axis=1)
+        whole = n_read == self._tree.n_details
         self.details[whole] = self.now[whole]
         self.sums_read[whole] = self.sums[whole]
 
@@ -267,19 +276,21 @@ class AdaptiveChoice:
         for n_rounds in range(N_ROUNDS, 0, -1):
             rows.update()
             expected2 = rows.changed2() + self._drift * self._age
-            n_left -= self._read_most(expected2, (n_left - n_oldest) // n_rounds, chosen, read)
+            n_round = (n_left - n_oldest) // n_rounds
+            n_left -= self._read_most(expected2, n_round, chosen, read)
 
         # Those that were read longest ago.
-        waited = self._age * np.where(self._untouched, UNTOUCHED_HASTE, 1.0)
+        ages = self._age * np.where(self._untouched, UNTOUCHED_HASTE, 1.0)
         while n_left >= N_DETAILS:
-            n_read = self._read_most(waited, n_left, chosen, read)
+            n_read = self._read_most(ages, n_left, chosen, read)
             n_left -= n_read
             self._owed = max(0.0, self._owed - n_read)
 
         # One or two rows of other nodes, up to m.
         phi.choose(chosen)
         details = phi.rows[phi.rows >= tree.n_tiles]
-        self._take(details[~chosen[tree.node_of_row[details]]], read)
+        is_of_chosen = chosen[tree.node_of_row[details]]
+        self._take(details[~is_of_chosen], read)
         rows.update()
 
         self._untouched = rows.end()
@@ -290,28 +301,36 @@ class AdaptiveChoice:
     def _read_most(self, score: Doubles, n_most: int, chosen: Mask, read: Read) -> int:
         """Read the unread nodes of highest score a measurement, above 0; return their rows."""
         tree = self._phi.tree
-        of_measurement = np.where(chosen, 0, score) / np.maximum(tree.n_details, 1)
-        order = np.argsort(-of_measurement, kind="stable")
-        order = order[(of_measurement[order] > TINY) & (tree.n_details[order] > 0)]
+        score_per_row = np.where(chosen, 0, score) / np.maximum(tree.n_details, 1)
+        order = np.argsort(-score_per_row, kind="stable")
+        is_worth = (score_per_row[order] > TINY) & (tree.n_details[order] > 0)
+        order = order[is_worth]
+
         ends = np.cumsum(tree.n_details[order])
         nodes = order[: np.searchsorted(ends, n_most, "right")]
         if not nodes.size:
             return 0
 
         chosen[nodes] = True
-        before = self._held.now[nodes].copy()
-        within = np.zeros_like(chosen)
-        within[nodes] = True
-        rows = tree.n_tiles + np.flatnonzero(within[tree.node_of_row[tree.n_tiles :]])
+        predicted = self._held.now[nodes].copy()
+
+        # All rows of these nodes, ascending.
+        is_chosen = np.zeros_like(chosen)
+        is_chosen[nodes] = True
+        node_of_detail = tree.node_of_row[tree.n_tiles :]
+        rows = tree.n_tiles + np.flatnonzero(is_chosen[node_of_detail])
         self._take(rows, read)
-        self._learn_drift(nodes, before)
+        self._learn_drift(nodes, predicted)
         return int(ends[nodes.size - 1])
 
-    def _learn_drift(self, nodes: Indices, before: Doubles) -> None:
-        details = self._held._read[nodes]
+    def _learn_drift(self, nodes: Indices, predicted: Doubles) -> None:
+        measured = self._held._read[nodes]
+        # Noise of both readings is not a change.
         noise = 2 * self._phi.variance * self._phi.tree.n_details[nodes]
-        change2 = np.maximum(np.square(details - before).sum(axis=1) - noise, 0)
+        change2 = np.square(measured - predicted).sum(axis=1)
+        change2 = np.maximum(change2 - noise, 0)
         change2 /= self._age[nodes]
+
         drift = self._drift[nodes]
         self._drift[nodes] = DRIFT_MEMORY * drift + (1 - DRIFT_MEMORY) * change2
         self._age[nodes] = 0

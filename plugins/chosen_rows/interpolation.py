@@ -54,13 +54,15 @@ class InterpolationSolver(Solver):
         self._cells = np.argwhere(self.mask).astype(np.float64)
         self._y = np.zeros(phi.m, dtype=np.float32)
         self._forces = np.zeros(phi.n, dtype=np.float32)
-        self._wanted = np.delete(np.arange(phi.n), phi.rows)
+        self._unread = np.delete(np.arange(phi.n), phi.rows)
+
+        # A choice that differs from frame to frame is interpolated along lines.
         along_lines = bool(phi.choice)
         if not along_lines:
-            known = self._cells[phi.rows]
-            wanted = self._cells[self._wanted]
+            read_cells = self._cells[phi.rows]
+            other_cells = self._cells[self._unread]
             try:
-                self._corners, self._weights = interpolated_from(known, wanted)
+                self._corners, self._weights = interpolated_from(read_cells, other_cells)
             except QhullError:  # no area between them
                 along_lines = True
         self._lines = LineInterpolation(self.mask) if along_lines else None
@@ -78,9 +80,10 @@ class InterpolationSolver(Solver):
             filled = self._lines.fill(self.taxels[rows], self._y)
             self._forces = filled[self.taxels]
             return
+
         self._forces[rows] = self._y
         corners = self._y[self._corners]
-        self._forces[self._wanted] = np.einsum("ij,ij->i", corners, self._weights)
+        self._forces[self._unread] = np.einsum("ij,ij->i", corners, self._weights)
 
     def finish(self) -> Floats:
         self._steps_left = 0
@@ -114,12 +117,16 @@ class LineInterpolation:
         self._first = np.empty((4, n), dtype=np.intp)
         self._last = np.empty((4, n), dtype=np.intp)
         self._steps = np.arange(4 * n).reshape(4, n)
-        for k, (line, along) in enumerate(((i, j), (j, i), (i - j, i), (i + j, i))):
+        # The number of its line, and the place on it, of each cell: rows, columns, diagonals.
+        directions = ((i, j), (j, i), (i - j, i), (i + j, i))
+        for k, (line, along) in enumerate(directions):
             cells = np.lexsort((along, line))
-            _, first, length = np.unique(line[cells], return_index=True, return_counts=True)
+            _, starts, lengths = np.unique(line[cells], return_index=True, return_counts=True)
+            ends = starts + lengths - 1
             self._cells[k] = cells
-            self._first[k] = k * n + first.repeat(length)
-            self._last[k] = k * n + (first + length - 1).repeat(length)
+            self._first[k] = k * n + starts.repeat(lengths)
+            self._last[k] = k * n + ends.repeat(lengths)
+
         # The square of a step's length: it is longer on diagonals.
         self._step2 = np.repeat([1.0, 1.0, 2.0, 2.0], n)
 
@@ -136,29 +143,36 @@ class LineInterpolation:
         while not is_known[self._wanted].all():
             cells, between = self._between(is_known, filled)
             if not cells.size:
+                # No cell lies between others any more.
                 missing = np.flatnonzero(self._wanted & ~is_known)
                 nearest = cKDTree(self._places[known]).query(self._places[missing])[1]
                 filled[missing] = values[nearest]
                 break
+
             filled[cells] = between
             is_known[cells] = True
         return filled
 
     def _between(self, is_known: Mask, filled: Floats) -> tuple[Indices, Doubles]:
         """Return the cells that lie between known ones on some line, and their values."""
-        known = is_known[self._cells]
-        before = np.maximum.accumulate(np.where(known, self._steps, -1), axis=1)
-        beyond = np.where(known, self._steps, self._steps.size)[:, ::-1]
-        after = np.minimum.accumulate(beyond, axis=1)[:, ::-1]
-        steps = np.flatnonzero((before >= self._first) & (after <= self._last) & ~known)
-        before = before.take(steps)
-        after = after.take(steps)
+        is_known_step = is_known[self._cells]
+
+        # The known steps before and after each, on its line or beyond it.
+        previous = np.maximum.accumulate(np.where(is_known_step, self._steps, -1), axis=1)
+        reversed_steps = np.where(is_known_step, self._steps, self._steps.size)[:, ::-1]
+        following = np.minimum.accumulate(reversed_steps, axis=1)[:, ::-1]
+
+        # Both must lie on the line of the step.
+        on_same_line = (previous >= self._first) & (following <= self._last)
+        steps = np.flatnonzero(on_same_line & ~is_known_step)
+        previous = previous.take(steps)
+        following = following.take(steps)
 
         # Linear between the two known cells on the line of each step.
-        back = steps - before
-        ahead = after - steps
-        low = filled.take(self._cells.take(before))
-        high = filled.take(self._cells.take(after))
+        back = steps - previous
+        ahead = following - steps
+        low = filled.take(self._cells.take(previous))
+        high = filled.take(self._cells.take(following))
         on_line = (low * ahead + high * back) / (back + ahead)
 
         # The weighted mean of the lines through each cell.
@@ -194,10 +208,12 @@ def interpolated_from(known: Doubles, wanted: Doubles) -> tuple[Indices, Floats]
 
     # Barycentric coordinates.
     transform = triangles.transform[triangle[inside]]
-    first_two = np.einsum("ijk,ik->ij", transform[:, :2], wanted[inside] - transform[:, 2])
+    offsets = wanted[inside] - transform[:, 2]
+    first_two = np.einsum("ijk,ik->ij", transform[:, :2], offsets)
     weights[inside, :2] = first_two
     weights[inside, 2] = 1 - first_two.sum(axis=1)
 
+    # Outside all triangles: the nearest known point.
     corners[~inside, 0] = cKDTree(known).query(wanted[~inside])[1]
     weights[~inside, 0] = 1
     return corners, np.clip(weights, 0, 1)

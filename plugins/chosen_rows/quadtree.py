@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -35,6 +36,15 @@ class Level:
     details: Doubles  # (size, 3, 4): the other rows; 0 where there are fewer quarters
 
 
+class _Squares(NamedTuple):
+    """Quarters of the squares of one size that hold a taxel: their numbers, -1 where there is
+    none, and their numbers of taxels, intp (size, 4) each.
+    """
+
+    parts: Indices
+    taxels: Indices
+
+
 class Quadtree:
     """W x: normalised sums of tiles, and for each node of a quad tree what its quarters differ by.
 
@@ -56,38 +66,36 @@ class Quadtree:
 
     def __init__(self, exists: Mask, m: int) -> None:
         self.n = int(np.count_nonzero(exists))
-        numbers = np.full(exists.shape, -1, dtype=np.intp)
-        numbers[exists] = np.arange(self.n)
-        counts = exists.astype(np.intp)
-        found: list[tuple[Indices, Indices]] = []
-        while numbers.size > 1 and (
-            len(found) < LEAST_DEPTH or np.count_nonzero(counts) > max(1, COARSE_PART * m)
-        ):
-            parts = _quarters(numbers, -1)
-            taxels = _quarters(counts, 0)
-            counts = taxels.sum(axis=2)
-            some = counts > 0
-            found.append((parts[some], taxels[some]))
-            numbers = np.full(some.shape, -1, dtype=np.intp)
-            numbers[some] = np.arange(np.count_nonzero(some))
+        squares = list(_squares(exists, COARSE_PART * m))
+
+        # From the tiles to the taxels; the quarters of the last nodes are taxels.
         self.levels: list[Level] = []
-        first = 0
-        for k in range(len(found) - 1, -1, -1):
-            parts, taxels = found[k]
-            end = len(found[k - 1][0]) if k else self.n
+        n_nodes = 0
+        for k in range(len(squares) - 1, -1, -1):
+            parts, taxels = squares[k]
+            n_below = self.n
+            if k > 0:
+                n_below = len(squares[k - 1].parts)
             weights, details = _orthonormal(taxels)
-            places = np.where(parts >= 0, parts, end)
-            self.levels.append(Level(first, len(parts), places, weights, details))
-            first += len(parts)
-        self.n_nodes = first
-        self.n_tiles = self.levels[0].size if self.levels else 1
-        each = [taxels for _, taxels in reversed(found)]
-        stacked = np.concatenate(each) if each else np.zeros((0, N_PARTS), dtype=np.intp)
-        # Numbers of details, 0..3, one less than it has quarters, and of taxels of each node.
-        self.n_details = np.maximum(np.count_nonzero(stacked, axis=1) - 1, 0)
-        self.n_taxels = stacked.sum(axis=1) if each else np.ones(1, dtype=np.intp)
-        used = np.arange(N_DETAILS) < self.n_details[:, None]
-        places = np.flatnonzero(used)
+            # The place behind the last one stands for quarters that do not exist.
+            places = np.where(parts >= 0, parts, n_below)
+            self.levels.append(Level(n_nodes, len(parts), places, weights, details))
+            n_nodes += len(parts)
+        self.n_nodes = n_nodes
+
+        # A grid of one taxel has no node.
+        self.n_tiles = 1
+        self.n_taxels = np.ones(1, dtype=np.intp)
+        taxels_of_quarters = np.zeros((0, N_PARTS), dtype=np.intp)
+        if squares:
+            self.n_tiles = self.levels[0].size
+            taxels_of_quarters = np.concatenate([level.taxels for level in reversed(squares)])
+            self.n_taxels = taxels_of_quarters.sum(axis=1)
+
+        # A node has one detail less than it has quarters, 0..3.
+        self.n_details = np.maximum(np.count_nonzero(taxels_of_quarters, axis=1) - 1, 0)
+        is_used = np.arange(N_DETAILS) < self.n_details[:, None]
+        places = np.flatnonzero(is_used)
         tiles = np.arange(self.n_tiles)
         # Node of each row, and its place in a flat array of three details a node; those of a tile's
         # sum are the tile and -1.
@@ -99,11 +107,14 @@ class Quadtree:
         sums = np.asarray(x, dtype=np.float64)
         details = np.zeros((self.n_nodes, N_DETAILS))
         for level in reversed(self.levels):
+            # Quarters that do not exist take the 0 at the end.
             parts = np.append(sums, 0.0)[level.parts]
             sums = (level.weights * parts).sum(axis=1)
-            own = slice(level.first, level.first + level.size)
-            details[own] = (level.details @ parts[:, :, None])[:, :, 0]
-        return np.concatenate([sums, details.reshape(-1)[self.place_of_row[self.n_tiles :]]])
+
+            nodes = slice(level.first, level.first + level.size)
+            details[nodes] = (level.details @ parts[:, :, None])[:, :, 0]
+        rows_of_details = details.reshape(-1)[self.place_of_row[self.n_tiles :]]
+        return np.concatenate([sums, rows_of_details])
 
     def descend(self, tiles: Doubles) -> Iterator[tuple[Level, Doubles, Doubles]]:
         """Yield each level with the normalised sums of its nodes, from those of the tiles.
@@ -117,20 +128,23 @@ class Quadtree:
             yield level, sums, details
             parts = sums[:, None] * level.weights
             parts += (details[:, None, :] @ level.details)[:, 0, :]
-            last = k == len(self.levels) - 1
-            end = self.n if last else self.levels[k + 1].size
-            below = np.zeros(end + 1)
+
+            n_below = self.n
+            if level is not self.levels[-1]:
+                n_below = self.levels[k + 1].size
+            # A last place takes the quarters that do not exist.
+            below = np.zeros(n_below + 1)
             below[level.parts] = parts
-            sums = below[:end]
+            sums = below[:n_below]
         self.forces = sums
 
     def synthesis(self, rows: npt.NDArray[np.floating]) -> Doubles:
         """Return W^T rows, float64 (n,), of rows (n,)."""
         flat = np.zeros(self.n_nodes * N_DETAILS)
         flat[self.place_of_row[self.n_tiles :]] = rows[self.n_tiles :]
-        given = flat.reshape(-1, N_DETAILS)
+        read_details = flat.reshape(-1, N_DETAILS)
         for level, _, details in self.descend(np.asarray(rows[: self.n_tiles], dtype=np.float64)):
-            details[:] = given[level.first : level.first + level.size]
+            details[:] = read_details[level.first : level.first + level.size]
         return self.forces
 
     def coded(self, chosen: Mask) -> npt.NDArray[np.uint8]:
@@ -140,43 +154,55 @@ class Quadtree:
         or a smaller one within it is chosen; then, but for the last level, a bit for each of the
         nodes so marked, set where it is chosen itself.
         """
-        some = chosen.copy()
+        # A node is marked if it or a smaller one within it is chosen.
+        marked = chosen.copy()
         for upper, lower in zip(self.levels[-2::-1], self.levels[:0:-1], strict=True):
-            below = np.append(some[lower.first : lower.first + lower.size], False)
-            some[upper.first : upper.first + upper.size] |= below[upper.parts].any(axis=1)
+            marked_below = np.append(marked[lower.first : lower.first + lower.size], False)
+            in_quarters = marked_below[upper.parts].any(axis=1)
+            marked[upper.first : upper.first + upper.size] |= in_quarters
+
         bits: list[Mask] = []
-        for level, visited in self._visits(some):
-            bits.append(some[visited])
+        for level, visited in self._visits(marked):
+            bits.append(marked[visited])
             if level is not self.levels[-1]:
-                bits.append(chosen[visited[some[visited]]])
-        return np.packbits(np.concatenate(bits)) if bits else np.zeros(1, dtype=np.uint8)
+                bits.append(chosen[visited[marked[visited]]])
+        if not bits:
+            return np.zeros(1, dtype=np.uint8)
+        return np.packbits(np.concatenate(bits))
 
     def decoded(self, code: npt.NDArray[np.uint8]) -> Mask:
         """Return the nodes that `coded` stated, bool (n_nodes,); ValueError if it stated none."""
         bits = np.unpackbits(code).astype(np.bool_)
-        at = 0
-        chosen, some = np.zeros((2, self.n_nodes), dtype=np.bool_)
+        chosen = np.zeros(self.n_nodes, dtype=np.bool_)
+        marked = np.zeros(self.n_nodes, dtype=np.bool_)
+        n_taken = 0
 
-        def taken(nodes: Indices) -> Mask:
-            nonlocal at
-            if at + nodes.size > bits.size:
+        def take(nodes: Indices) -> Mask:
+            nonlocal n_taken
+            if n_taken + nodes.size > bits.size:
                 raise ValueError("too short")
-            at += nodes.size
-            return bits[at - nodes.size : at]
+            n_taken += nodes.size
+            return bits[n_taken - nodes.size : n_taken]
 
-        for level, visited in self._visits(some):
-            some[visited] = taken(visited)
-            inside = visited[some[visited]]
-            chosen[inside] = True if level is self.levels[-1] else taken(inside)
+        for level, visited in self._visits(marked):
+            marked[visited] = take(visited)
+            inside = visited[marked[visited]]
+            if level is self.levels[-1]:
+                chosen[inside] = True
+            else:
+                chosen[inside] = take(inside)
+
+        # Every choice has one code: spare bits and needless marks are faults.
         if not np.array_equal(self.coded(chosen), code):
             raise ValueError("not as it is coded")
         return chosen
 
     def most_code_bytes(self, n_rows: int) -> int:
         """Bytes that `coded` takes at most where nodes have three details, `n_rows` in all."""
+        # On each level no more nodes are marked than are chosen in all.
         n_chosen = -(-n_rows // N_DETAILS)
-        marked = sum(min(level.size, n_chosen) for level in self.levels[:-1])
-        return -(-(self.n_tiles + (1 + N_PARTS) * marked) // 8)
+        n_marked = sum(min(level.size, n_chosen) for level in self.levels[:-1])
+        return -(-(self.n_tiles + (1 + N_PARTS) * n_marked) // 8)
 
     def _visits(self, marked: Mask) -> Iterator[tuple[Level, Indices]]:
         """Yield each level with its nodes whose larger one is marked, which the caller may mark."""
@@ -185,28 +211,56 @@ class Quadtree:
             yield level, nodes
             if k + 1 < len(self.levels):
                 within = level.parts[nodes[marked[nodes]] - level.first]
-                below = self.levels[k + 1]
-                nodes = below.first + np.sort(within[within < below.size])
+                next_level = self.levels[k + 1]
+                nodes = next_level.first + np.sort(within[within < next_level.size])
+
+
+def _squares(exists: Mask, most_tiles: float) -> Iterator[_Squares]:
+    """Yield squares of 2 x 2 taxels, of 4 x 4 ..., until so few of them hold a taxel."""
+    counts = exists.astype(np.intp)
+    numbers = _numbered(exists)
+    depth = 0
+    while numbers.size > 1:
+        if depth >= LEAST_DEPTH and np.count_nonzero(counts) <= max(1, most_tiles):
+            break
+        parts = _quarters(numbers, -1)
+        taxels = _quarters(counts, 0)
+        counts = taxels.sum(axis=2)
+        has_taxel = counts > 0
+        yield _Squares(parts[has_taxel], taxels[has_taxel])
+        numbers = _numbered(has_taxel)
+        depth += 1
+
+
+def _numbered(exists: Mask) -> Indices:
+    """Return the number of each cell among those that exist, -1 elsewhere."""
+    numbers = np.full(exists.shape, -1, dtype=np.intp)
+    numbers[exists] = np.arange(np.count_nonzero(exists))
+    return numbers
 
 
 def _quarters(grid: Indices, outside: int) -> Indices:
     """Return the four cells of each square of 2 x 2, (rows, columns, 4)."""
+    # A grid of odd sides ends with squares that are cut off.
     n_rows, n_cols = grid.shape
-    edges = ((0, n_rows % 2), (0, n_cols % 2))
-    even = np.pad(grid, edges, constant_values=outside)
-    return np.stack([even[i::2, j::2] for i in (0, 1) for j in (0, 1)], axis=-1)
+    padding = ((0, n_rows % 2), (0, n_cols % 2))
+    padded = np.pad(grid, padding, constant_values=outside)
+    return np.stack([padded[i::2, j::2] for i in (0, 1) for j in (0, 1)], axis=-1)
 
 
 def _orthonormal(taxels: Indices) -> tuple[Doubles, Doubles]:
     """Return weights and details of nodes whose quarters have so many taxels, (size, 4)."""
     weights = np.sqrt(taxels / taxels.sum(axis=1, keepdims=True))
     details = np.zeros((len(taxels), N_DETAILS, N_PARTS))
-    details[(taxels == taxels[:, :1]).all(axis=1)] = _HAAR
-    for node in np.flatnonzero((taxels != taxels[:, :1]).any(axis=1)):
-        inside = np.flatnonzero(taxels[node])
+    are_equal = (taxels == taxels[:, :1]).all(axis=1)
+    details[are_equal] = _HAAR
+
+    for node in np.flatnonzero(~are_equal):
+        quarters = np.flatnonzero(taxels[node])
         # A reflection that takes the weights to the first axis (Householder).
-        normal = weights[node, inside].copy()
+        normal = weights[node, quarters].copy()
         normal[0] += 1
-        reflection = np.eye(inside.size) - 2 * np.outer(normal, normal) / (normal @ normal)
-        details[node, : inside.size - 1, inside] = reflection[1:].T
+        projection = 2 * np.outer(normal, normal) / (normal @ normal)
+        reflection = np.eye(quarters.size) - projection
+        details[node, : quarters.size - 1, quarters] = reflection[1:].T
     return weights, details

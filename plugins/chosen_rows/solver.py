@@ -88,11 +88,14 @@ class AdaptiveSkinSolver(Solver):
         elif not np.array_equal(phi.exists, self.mask):
             raise SolverError('solver "skin": phi "adaptive" is laid out on another grid')
         self._rows_of: AdaptivePhi = phi
+
+        # All taxels, as if they had been measured.
         self._whole = SbhePhi(n=phi.n, m=phi.n, seed=0)
         self._filter = SkinSolver(self._whole, basis, self.mask, iterations=iterations, fast=fast)
         self.n_steps = self.iterations = self._filter.iterations
         self._held = HeldRows(phi)
-        self._age, self._drift = np.zeros((2, phi.tree.n_nodes))
+        self._age = np.zeros(phi.tree.n_nodes)
+        self._drift = np.zeros(phi.tree.n_nodes)
         self.reset()
 
     def reset(self) -> None:
@@ -111,9 +114,11 @@ class AdaptiveSkinSolver(Solver):
         y = self._checked_y(y)
         rows = self._rows_of.rows
         if self._predicted is not None:
+            # How well held rows and filter predicted this frame.
             for k, predicted in enumerate(self._predicted):
-                error = float(np.mean(np.square(y - predicted[rows])))
-                self._errors[k] = MEMORY * self._errors[k] + (1 - MEMORY) * error
+                residual = y - predicted[rows]
+                error2 = float(np.mean(np.square(residual)))
+                self._errors[k] = MEMORY * self._errors[k] + (1 - MEMORY) * error2
 
         self._age += 1
         expected = self._expected()
@@ -141,14 +146,16 @@ class AdaptiveSkinSolver(Solver):
     def finish(self) -> Floats:
         self._steps_left = 0
         forces = self._filter.finish()
+
         tree = self._rows_of.tree
         filtered = tree.analysis(forces.reshape(-1)[self.taxels])
         self._predicted = (tree.analysis(self._x), filtered)
-        direct = self._errors[0] < CLEARLY * self._errors[1]
-        if direct:
+        # The filter lags behind where the held rows predict clearly better.
+        if self._errors[0] < CLEARLY * self._errors[1]:
             forces = np.zeros(self.mask.size, dtype=np.float32)
             forces[self.taxels] = self._x
             forces = forces.reshape(self.mask.shape)
+
         self._judge(forces.reshape(-1)[self.taxels])
         return forces
 
@@ -161,22 +168,25 @@ class AdaptiveSkinSolver(Solver):
 
     @property
     def _noise_of_touched(self) -> NoiseModel | None:
-        return self.noise_model and replace(self.noise_model, of_touched=True)
+        if self.noise_model is None:
+            return None
+        return replace(self.noise_model, of_touched=True)
 
     def _learn(self, expected: Doubles, last_details: Doubles) -> None:
         """Compare the expected changes of the nodes that are read with the ones they had."""
         nodes = self._rows_of.chosen
         expected = np.maximum(expected, self._expected())[nodes]
         noise = 2 * self._rows_of.variance * self._rows_of.tree.n_details[nodes]
-        change = np.square(self._held.now[nodes] - last_details[nodes]).sum(axis=1)
-        change = np.maximum(change - noise, 0)
+        change = self._held.now[nodes] - last_details[nodes]
+        change2 = np.square(change).sum(axis=1)
+        change2 = np.maximum(change2 - noise, 0)
 
         total = float(expected.sum())
         if total > 0:
-            quotient = min(float(change.sum()) / total, 1.0)
+            quotient = min(float(change2.sum()) / total, 1.0)
             self._changed = MEMORY * self._changed + (1 - MEMORY) * quotient
 
-        drift = change / self._age[nodes]
+        drift = change2 / self._age[nodes]
         self._drift[nodes] = DRIFT_MEMORY * self._drift[nodes] + (1 - DRIFT_MEMORY) * drift
         self._age[nodes] = 0
 
@@ -188,17 +198,17 @@ class AdaptiveSkinSolver(Solver):
             self.trusted = True
             return
 
-        missed = self._changed * float(self._expected().sum()) / n
+        missed2 = self._changed * float(self._expected().sum()) / n
         assert self._filter.error is not None
         # Frames after each other hold the same noise where they hold the same reading.
         noise = self._noise_of_touched
         kept2 = 0.0
         if noise is not None:
             kept2 = KEPT * float(noise.variance(x).sum()) / n
-        error2 = max(missed, self._filter.error**2, kept2)
+        error2 = max(missed2, self._filter.error**2, kept2)
 
         power = float(np.dot(x, x)) / n
         self.error = math.sqrt(error2)
         noise2 = max(self._filter.noise2, self._rows_of.variance)
-        untouched = max(power, missed) <= UNTOUCHED * noise2
+        untouched = max(power, missed2) <= UNTOUCHED * noise2
         self.trusted = bool(untouched or error2 <= SkinTuning.trusted**2 * power + TINY)

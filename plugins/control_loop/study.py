@@ -74,13 +74,17 @@ def run(out: Path, quick: bool, seed: int, executor: str) -> list[str]:
                 ask_node(graph, "sensor", "pause", way == "stream")
                 for age_ms in ages_of(way, words, folder):
                     rows.append({"round": number, "way": way, "age_ms": age_ms})
+
     table = summary(pd.DataFrame(rows))
     page = Page(out, "control-loop", Path(__file__).with_suffix(".md"), quick)
     cores = len(os.sched_getaffinity(0))
     page.section(
         "",
         markdown(table, {"p50, ms": ".2f", "p99, ms": ".2f", "p50 to echo": ".3f"}),
-        **{"rate_hz": RATE_HZ, "n_rounds": n_rounds, "n_messages": n_messages, "cores": cores},
+        rate_hz=RATE_HZ,
+        n_rounds=n_rounds,
+        n_messages=n_messages,
+        cores=cores,
         n_warm_up=N_WARM_UP,
         absent="; ".join(absent) or "none",
     )
@@ -97,7 +101,7 @@ def run(out: Path, quick: bool, seed: int, executor: str) -> list[str]:
 def running(folder: Path) -> Iterator[RunningGraph]:
     """A graph of the study, in a runtime folder of its own."""
     (folder / "loop.toml").write_text(GRAPH)
-    before = os.environ.get("SPARSESKIN_RUNTIME_DIR")
+    folder_before = os.environ.get("SPARSESKIN_RUNTIME_DIR")
     os.environ["SPARSESKIN_RUNTIME_DIR"] = str(folder / "graphs")
     words = [sys.executable, "-m", "sparseskin", "launch", "loop.toml"]
     with subprocess.Popen(words, cwd=folder, stderr=subprocess.PIPE, text=True) as process:
@@ -112,10 +116,10 @@ def running(folder: Path) -> Iterator[RunningGraph]:
             stop(graph)
         finally:
             process.terminate()
-            if before is None:
+            if folder_before is None:
                 del os.environ["SPARSESKIN_RUNTIME_DIR"]
             else:
-                os.environ["SPARSESKIN_RUNTIME_DIR"] = before
+                os.environ["SPARSESKIN_RUNTIME_DIR"] = folder_before
 
 
 @contextmanager
@@ -143,8 +147,9 @@ def ways(
             endpoint = graph.nodes[graph.writers()[CONTACTS]].endpoint
             words = [program, endpoint, str(graph.offset_ns), str(n_messages)]
         else:
-            lacking = way == "ros2" and find_spec("cyclonedds") is None
-            why = "cyclonedds is not installed" if lacking else ""
+            why = ""
+            if way == "ros2" and find_spec("cyclonedds") is None:
+                why = "cyclonedds is not installed"
             module = f"{__package__}.ages"
             words = [sys.executable, "-m", module, way, str(n_messages)]
         if why:
@@ -163,16 +168,18 @@ def compiled(folder: Path) -> tuple[str, str]:
         return "", "g++ is not installed"
     program = str(folder / "ages")
     words = ["g++", "-std=c++17", "-O2", str(sources / "ages.cpp"), "-o", program, "-lzmq"]
-    done = subprocess.run(words, capture_output=True, text=True, check=False)
-    return program, "libzmq3-dev is not installed" if done.returncode else ""
+    compiler = subprocess.run(words, capture_output=True, text=True, check=False)
+    if compiler.returncode:
+        return program, "libzmq3-dev is not installed"
+    return program, ""
 
 
 def ages_of(way: str, words: list[str], folder: Path) -> list[float]:
     """Ages that a program prints, ms, without its first `N_WARM_UP`."""
-    done = subprocess.run(words, cwd=folder, capture_output=True, text=True, check=False)
-    ages_ms = [float(line) for line in done.stdout.split()]
-    if done.returncode or len(ages_ms) <= N_WARM_UP:
-        raise StudyError(f"{WAYS[way]}: ended with {done.returncode}: {done.stderr[-500:]}")
+    program = subprocess.run(words, cwd=folder, capture_output=True, text=True, check=False)
+    ages_ms = [float(line) for line in program.stdout.split()]
+    if program.returncode or len(ages_ms) <= N_WARM_UP:
+        raise StudyError(f"{WAYS[way]}: ended with {program.returncode}: {program.stderr[-500:]}")
     return ages_ms[N_WARM_UP:]
 
 
@@ -181,14 +188,14 @@ def summary(rows: pd.DataFrame) -> pd.DataFrame:
     parts of that of `COMPARED`.
     """
     p50s = rows.groupby(["way", "round"])["age_ms"].median().unstack("round")
-    found = []
+    summaries = []
     for way, text in WAYS.items():
         if way not in p50s.index:
             continue
         ages_ms = rows.loc[rows["way"] == way, "age_ms"]
         ratio = float(np.mean(p50s.loc[way] / p50s.loc[COMPARED]))
         p50, p99 = np.quantile(ages_ms, [0.5, 0.99])
-        found.append(
+        summaries.append(
             {
                 "way": text,
                 "p50, ms": float(p50),
@@ -197,4 +204,4 @@ def summary(rows: pd.DataFrame) -> pd.DataFrame:
                 "messages": len(ages_ms),
             }
         )
-    return pd.DataFrame(found)
+    return pd.DataFrame(summaries)

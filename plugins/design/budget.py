@@ -59,7 +59,8 @@ class Row:
     @property
     def stage_hz(self) -> dict[str, float]:
         """Frames a second that each stage can process."""
-        return {name: 1 / self.stage_s[name] for name in STAGES[:-1]} | {"host": self.host_rate_hz}
+        rates = {name: 1 / self.stage_s[name] for name in STAGES[:-1]}
+        return {**rates, "host": self.host_rate_hz}
 
     @property
     def limit(self) -> str:
@@ -114,24 +115,27 @@ def row_of(strategy: Strategy, design: Design) -> Row:
     """
     n = design.n_taxels
     m = strategy.m(n, design.n_rows)
-    lines, conversions = wires_of(strategy, design)
-    sent = frame_bytes(strategy, design)
-    sums = 0 if strategy.reads_single else m
+    n_wires, conversions = wires_of(strategy, design)
+    sent_bytes = frame_bytes(strategy, design)
+    n_sums = 0 if strategy.reads_single else m
+
+    # A large skin is several patches of equal size.
     patches = -(-n // LARGEST)
     host = cost(strategy.name, -(-n // patches))
     stage_s = {
         "ADC": design.adc.seconds(conversions),
-        "edge": design.edge.seconds(strategy.name, n, conversions, sums, sent),
-        "bus": design.bus.seconds(sent),
+        "edge": design.edge.seconds(strategy.name, n, conversions, n_sums, sent_bytes),
+        "bus": design.bus.seconds(sent_bytes),
         "host": host.dense_s,
     }
-    host_rate_hz = min(design.cores, patches) / (host.dense_s * patches)
+    n_busy_cores = min(design.cores, patches)
+    host_rate_hz = n_busy_cores / (host.dense_s * patches)
     return Row(
         strategy=strategy,
         m=m,
-        lines=lines,
+        lines=n_wires,
         conversions=conversions,
-        n_bytes=sent,
+        n_bytes=sent_bytes,
         stage_s=stage_s,
         host_calm_s=host.calm_s,
         host_rate_hz=host_rate_hz,
@@ -148,16 +152,21 @@ def wires_of(strategy: Strategy, design: Design) -> tuple[int, int]:
     """
     n = design.n_taxels
     sums = design.sums if strategy.phi == "sbhe" else strategy.sums
-    is_every = sums == DIGITAL or strategy.phi == "full"
-    conversions = n if is_every else strategy.m(n, design.n_rows)
+    conversions = strategy.m(n, design.n_rows)
+    if sums == DIGITAL or strategy.phi == "full":
+        conversions = n
     if sums == ANALOG and strategy.phi != "row_local":
         return n, conversions
+
     n_rows = design.n_rows
     n_cols = design.n_cols
     if strategy.phi == LARGER and n_rows is not None and n_cols is not None:
         # As many along both sides as their number and the shape of the skin allow.
-        n_rows = min(conversions, max(1, round(math.sqrt(conversions * n_rows / n_cols))))
+        n_rows_in_shape = round(math.sqrt(conversions * n_rows / n_cols))
+        n_rows = min(conversions, max(1, n_rows_in_shape))
         return n_rows + -(-conversions // n_rows), conversions
+
+    # Points: the smallest near square that holds them, fewer where they are larger.
     if strategy.phi == LARGER:
         n = conversions
     if n_rows is None or n_cols is None:
@@ -173,5 +182,8 @@ def frame_bytes(strategy: Strategy, design: Design) -> int:
     """
     n = design.n_taxels
     bits = design.adc.bits if strategy.reads_single else design.bits
-    choice = n_bytes(-(-n // 3), 2) if strategy.phi == "adaptive" else 0
-    return HEADER_BYTES + CRC_BYTES + n_bytes(strategy.m(n, design.n_rows), bits) + choice
+    n_payload = n_bytes(strategy.m(n, design.n_rows), bits)
+    n_choice = 0
+    if strategy.phi == "adaptive":
+        n_choice = n_bytes(-(-n // 3), 2)
+    return HEADER_BYTES + CRC_BYTES + n_payload + n_choice

@@ -26,21 +26,22 @@ def configure(parser: argparse.ArgumentParser) -> None:
         "accuracy, latency, cores. State it by options, or by a file with the same keys, or by "
         "both: options replace what the file states."
     )
-    more = rare(parser)
+    rare_options = rare(parser)
     parser.add_argument("file", metavar="design.toml", nargs="?", type=Path, help="file of keys")
     for name, key in KEYS.items():
-        default = "" if key.default is None else f" (default: {key.default})"
-        place = more if name in RARE_KEYS else parser
-        place.add_argument(
-            f"--{name.replace('_', '-')}", metavar=key.form, help=f"{key.about}{default}"
-        )
+        about = key.about
+        if key.default is not None:
+            about = f"{about} (default: {key.default})"
+        place = rare_options if name in RARE_KEYS else parser
+        place.add_argument(f"--{name.replace('_', '-')}", metavar=key.form, help=about)
+
     about = "write all figures to this file too, with all digits"
     parser.add_argument("--csv", metavar="FILE", type=Path, help=about)
     about = "rates, bytes and wires alone, at once: nothing is simulated"
     parser.add_argument("--no-accuracy", action="store_true", help=about)
     about = f"simulated scenes, 2..{N_SCENES}: more take longer (default: {FEW_SCENES})"
     scenes = range(2, N_SCENES + 1)
-    more.add_argument(
+    rare_options.add_argument(
         "--scenes", metavar="K", type=int, choices=scenes, default=FEW_SCENES, help=about
     )
     parser.set_defaults(run=_design)
@@ -48,13 +49,17 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 def _design(arguments: argparse.Namespace) -> int:
     design = design_of(arguments)
+    # A file that cannot be written is refused before anything is simulated.
     with ExitStack() as stack:
         draft = arguments.csv and stack.enter_context(whole_file(arguments.csv))
         if not arguments.no_accuracy:
-            n = len(STRATEGIES)
-            few = arguments.scenes
-            begun = f"{design.size}, {n} ways to read them in {few} simulated scenes each ..."
-            print(begun, file=sys.stderr, flush=True)
+            print(
+                f"{design.size}, {len(STRATEGIES)} ways to read them in {arguments.scenes} "
+                "simulated scenes each ...",
+                file=sys.stderr,
+                flush=True,
+            )
+
         # Imported here, where all that is stated has been checked and reported.
         from . import text
         from .budget import budget
@@ -76,14 +81,23 @@ def _design(arguments: argparse.Namespace) -> int:
 
 def design_of(arguments: argparse.Namespace) -> Design:
     """The design that options and file state; SettingsError has a line for each that is wrong."""
-    options = {key: value for key in KEYS if (value := getattr(arguments, key)) is not None}
-    stated = {} if arguments.file is None else read_file(arguments.file)
+    options = {}
+    for key in KEYS:
+        value = getattr(arguments, key)
+        if value is not None:
+            options[key] = value
+
+    of_file = {}
+    if arguments.file is not None:
+        of_file = read_file(arguments.file)
+    # Options that state a size replace all of that in the file.
     if any(key in options for key in SIZE_KEYS):
-        stated = {key: value for key, value in stated.items() if key not in SIZE_KEYS}
+        of_file = {key: value for key, value in of_file.items() if key not in SIZE_KEYS}
 
     def place(key: str) -> str:
-        if key in options or key not in stated:
+        if key in options or key not in of_file:
             return f"--{key.replace('_', '-')}: "
-        return f"{arguments.file}: {key if key in KEYS else shown(key)}: "
+        name = key if key in KEYS else shown(key)
+        return f"{arguments.file}: {name}: "
 
-    return make_design({**stated, **options}, place)
+    return make_design({**of_file, **options}, place)

@@ -39,19 +39,30 @@ def quantity(text: object, units: dict[str, float], example: str, low: float, hi
     which have their size in SI units ("": none is needed). Raises SettingsError, with an `example`,
     if the text has another form or unit, or the value is not in low..high.
     """
-    found = _QUANTITY.fullmatch(text) if isinstance(text, str) and len(text) <= _MAX_CHARS else None
-    if found is None:
+    match = _matched(_QUANTITY, text)
+    if match is None:
         raise SettingsError(f"{shown(text)}: expected a number with its unit, such as {example}")
-    number, unit = found.groups()
+    number, unit = match.groups()
     if unit not in units:
-        known = [name for name in units if name]
-        what = f"unit {unit!r} is not known{nearest_of(unit, known)}" if unit else "has no unit"
-        raise SettingsError(f"{shown(text)}: {what}; expected such as {example}")
+        unit_names = [name for name in units if name]
+        fault = "has no unit"
+        if unit:
+            fault = f"unit {unit!r} is not known{nearest_of(unit, unit_names)}"
+        raise SettingsError(f"{shown(text)}: {fault}; expected such as {example}")
+
     value = float(number) * units[unit]
     if not (math.isfinite(value) and low <= value <= high):
-        least, most = (f"{bound / units[unit]:.6g} {unit}".strip() for bound in (low, high))
-        raise SettingsError(f"{shown(text)}: is outside {least} .. {most}")
+        least = f"{low / units[unit]:.6g} {unit}".strip()
+        largest = f"{high / units[unit]:.6g} {unit}".strip()
+        raise SettingsError(f"{shown(text)}: is outside {least} .. {largest}")
     return value
+
+
+def _matched(pattern: re.Pattern[str], text: object) -> re.Match[str] | None:
+    """Match a whole value with a pattern; None also if it is no text, or too long for one."""
+    if not isinstance(text, str) or len(text) > _MAX_CHARS:
+        return None
+    return pattern.fullmatch(text)
 
 
 _ADC = re.compile(r"(\d{1,2})\s*bits?\s*@\s*(.+)", re.ASCII)
@@ -75,25 +86,28 @@ class Adc:
     @property
     def label(self) -> str:
         """The converters in words."""
-        several = f"{self.converters} x " if self.converters > 1 else ""
-        settle = f" + {self.settling_s * 1e6:g} us" if self.settling_s else ""
-        return f"{several}{self.bits} bit at {self.rate_hz / 1e3:g} kS/s{settle}"
+        label = f"{self.bits} bit at {self.rate_hz / 1e3:g} kS/s"
+        if self.converters > 1:
+            label = f"{self.converters} x {label}"
+        if self.settling_s:
+            label = f"{label} + {self.settling_s * 1e6:g} us"
+        return label
 
     def seconds(self, conversions: int) -> float:
         """Time of so many conversions, seconds."""
-        each = -(-conversions // self.converters)
-        return each * (1 / self.rate_hz + self.settling_s)
+        n_in_turn = -(-conversions // self.converters)
+        return n_in_turn * (1 / self.rate_hz + self.settling_s)
 
 
 def read_adc(text: object) -> Adc:
     """One converter that a text such as "10bit@200kS/s" states; SettingsError for other forms."""
-    found = _ADC.fullmatch(text) if isinstance(text, str) and len(text) <= 40 else None
-    if found is None:
+    match = _matched(_ADC, text)
+    if match is None:
         raise SettingsError(f"{shown(text)}: expected bits and samples a second, as 10bit@200kS/s")
-    bits = int(found[1])
+    bits = int(match[1])
     if not 4 <= bits <= 24:
         raise SettingsError(f"{shown(text)}: {bits} bits; allowed: 4..24")
-    rate_hz = quantity(found[2], SAMPLES, "200kS/s", 1.0, 1e10)
+    rate_hz = quantity(match[2], SAMPLES, "200kS/s", 1.0, 1e10)
     return Adc(bits, rate_hz)
 
 
@@ -110,6 +124,7 @@ def _serial_s(n: int, baud: float) -> float:
 
 def _can_s(n: int, bit_s: float) -> float:
     """Classic CAN: 34 + 8 n bits, stuff bits, 13 more. Source: ISO 11898-1; Davis et al. 2007."""
+    # At most one stuff bit after each four.
     stuffed = 34 + 8 * n
     return (stuffed + (stuffed - 1) // 4 + 13) / bit_s
 
@@ -129,6 +144,7 @@ def _spi_s(n: int, clock: float) -> float:
 
 def _udp_s(n: int, bit_s: float) -> float:
     """UDP over IPv4 and Ethernet, preamble and gap too. Source: IEEE 802.3; RFC 791, 768."""
+    # A payload of Ethernet has 46 bytes at least.
     return 8 * (8 + 14 + max(46, 28 + n) + 4 + 12) / bit_s
 
 
@@ -173,25 +189,35 @@ class Bus:
         seconds; the gap before the next one included.
         """
         kind = KINDS[self.kind]
-        most = kind.most_bytes or n_bytes
-        full, rest = divmod(n_bytes, most)
-        last_s = kind.frame_s(rest, *self.rates) if rest else 0.0
-        return full * kind.frame_s(most, *self.rates) + last_s
+        frame_bytes = kind.most_bytes or n_bytes
+        # Full frames of the bus, and a shorter one for the rest.
+        n_full, n_last = divmod(n_bytes, frame_bytes)
+        last_s = 0.0
+        if n_last:
+            last_s = kind.frame_s(n_last, *self.rates)
+        return n_full * kind.frame_s(frame_bytes, *self.rates) + last_s
 
 
 def read_bus(text: object) -> Bus:
     """The bus that a text states: see `FORMS`. Raises SettingsError for other forms."""
-    kind, _, rate = text.partition(":") if isinstance(text, str) else ("", "", "")
-    kind, rate = kind.strip(), rate.strip()
+    kind = ""
+    rate = ""
+    if isinstance(text, str):
+        kind, rate = (part.strip() for part in text.partition(":")[::2])
     if kind not in KINDS:
         hint = nearest_of(kind, KINDS)
         raise SettingsError(f"{shown(text)}: bus is not known{hint}; expected {FORMS}")
+
     rate = rate or KINDS[kind].default
     if not rate:
         raise SettingsError(f"{shown(text)}: states no rate; expected such as {kind}:2M")
-    parts = rate.split("/") if kind == "can-fd" else [rate]
-    if kind == "can-fd" and len(parts) != 2:
-        raise SettingsError(f"{shown(text)}: expected can-fd:ARBITRATION/DATA, as can-fd:1M/5M")
+
+    # CAN FD has a second rate, of the data.
+    parts = [rate]
+    if kind == "can-fd":
+        parts = rate.split("/")
+        if len(parts) != 2:
+            raise SettingsError(f"{shown(text)}: expected can-fd:ARBITRATION/DATA, as can-fd:1M/5M")
     rates = tuple(
         quantity(part.strip(), BITS_A_SECOND, "1M", LOWEST_BIT_S, HIGHEST_BIT_S) for part in parts
     )
@@ -202,8 +228,11 @@ def read_bus(text: object) -> Bus:
 
 def rate_text(rate: float) -> str:
     """A rate with the largest prefix that leaves 1 or more: 2 M, 500 k, 9600 without one."""
-    power = min(3, max(0, int(math.log10(rate) // 3))) if rate >= 1e4 else 0
-    return f"{rate / 1000**power:.6g} {('', 'k', 'M', 'G')[power]}"
+    power = 0
+    if rate >= 1e4:
+        power = min(3, max(0, int(math.log10(rate) // 3)))
+    prefix = ("", "k", "M", "G")[power]
+    return f"{rate / 1000**power:.6g} {prefix}"
 
 
 LARGEST = 4096
@@ -232,14 +261,16 @@ def cost(strategy: str, n_taxels: int) -> Cost:
     in log(taxels); below the smallest, the cost is that of the smallest, and beyond `LARGEST` in
     proportion to the taxels.
     """
+    # Only the sizes that were measured are in the table.
     table = stored()["cost"]
     sizes = sorted(int(size) for size in table)
-    found = []
+    seconds = []
     for key in FIGURES:
         us = [float(table[str(size)][strategy][key]) for size in sizes]
         log_us = np.interp(math.log(n_taxels), np.log(sizes), np.log(us))
-        found.append(math.exp(float(log_us)) * max(1.0, n_taxels / sizes[-1]) * 1e-6)
-    return Cost(*found)
+        beyond_largest = max(1.0, n_taxels / sizes[-1])
+        seconds.append(math.exp(float(log_us)) * beyond_largest * 1e-6)
+    return Cost(*seconds)
 
 
 @functools.cache
@@ -274,7 +305,9 @@ class Edge:
     @property
     def label(self) -> str:
         """The edge in words."""
-        return LINUX if self.clock_hz is None else f"Cortex-M4 at {self.clock_hz / 1e6:g} MHz"
+        if self.clock_hz is None:
+            return LINUX
+        return f"Cortex-M4 at {self.clock_hz / 1e6:g} MHz"
 
     def seconds(
         self, strategy: str, n_taxels: int, readings: int, sums: int, n_bytes: int
@@ -296,9 +329,13 @@ def read_edge(text: object) -> Edge:
     """The edge of "cortex-m4@168MHz" or "linux"; raises SettingsError for other forms."""
     if text == LINUX:
         return Edge(None)
-    found = _M4.fullmatch(text) if isinstance(text, str) and len(text) <= 40 else None
-    if found is None:
-        name = text.partition("@")[0].strip() if isinstance(text, str) else ""
-        hint = "" if name == CORTEX_M4 else nearest_of(name, (CORTEX_M4, LINUX))
+    match = _matched(_M4, text)
+    if match is None:
+        name = ""
+        if isinstance(text, str):
+            name = text.partition("@")[0].strip()
+        hint = ""
+        if name != CORTEX_M4:
+            hint = nearest_of(name, (CORTEX_M4, LINUX))
         raise SettingsError(f"{shown(text)}: expected cortex-m4@168MHz or linux{hint}")
-    return Edge(quantity(found[1], CLOCK, "168MHz", 1e6, 2e9))
+    return Edge(quantity(match[1], CLOCK, "168MHz", 1e6, 2e9))

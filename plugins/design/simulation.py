@@ -69,26 +69,28 @@ def raster(mask: Mask, bits: int, phis: list[Phi] | None = None) -> Reader:
     """
     step = np.float32(F_MAX_N / (2**bits - 1))
     taxels = np.flatnonzero(mask)
-    subsets = [taxels[getattr(phi, "rows")] for phi in phis] if phis else [taxels]  # noqa: B009
-    turns = itertools.cycle(subsets)
-    held = np.zeros(mask.size, dtype=np.float32)
+    subsets = [taxels]
+    if phis:
+        subsets = [taxels[getattr(phi, "rows")] for phi in phis]  # noqa: B009
+    subset_in_turn = itertools.cycle(subsets)
+    readings_kept = np.zeros(mask.size, dtype=np.float32)
 
     def read(readings: Floats) -> Floats:
-        now = next(turns)
-        held[now] = np.rint(readings.reshape(-1)[now] / step) * step
-        return held.reshape(readings.shape).copy()
+        subset = next(subset_in_turn)
+        readings_kept[subset] = np.rint(readings.reshape(-1)[subset] / step) * step
+        return readings_kept.reshape(readings.shape).copy()
 
     return read
 
 
 def larger_raster(mask: Mask, bits: int, m: int) -> Reader:
     """Reader of m larger taxels, each of the range of all that it sums, rounded to `bits`."""
-    larger = LargerTaxels(mask, m)
-    steps = (F_MAX_N * larger.sizes / (2**bits - 1)).astype(np.float32)
+    larger_taxels = LargerTaxels(mask, m)
+    steps = (F_MAX_N * larger_taxels.sizes / (2**bits - 1)).astype(np.float32)
 
     def read(readings: Floats) -> Floats:
-        sums = np.rint(larger.sums(readings) / steps) * steps
-        return larger.spread(sums)
+        sums = np.rint(larger_taxels.sums(readings) / steps) * steps
+        return larger_taxels.spread(sums)
 
     return read
 
@@ -98,18 +100,21 @@ def make_reader(strategy: Strategy, mask: Mask, noise: float, bits: int, seed: i
     as a part of the range; `bits` of a value that is read or sent; `seed` of Phi. Raises PhiError
     or SolverError if the strategy is not possible on it.
     """
-    how: dict[str, Any] = {"rows": strategy.rows, "phi": strategy.phi}
+    options: dict[str, Any] = {"rows": strategy.rows, "phi": strategy.phi}
     shape = (mask.shape[0], mask.shape[1])
     n = int(np.count_nonzero(mask))
+    # Readings of single taxels are used as they are: nothing is reconstructed.
     if strategy.phi == LARGER:
         return larger_raster(mask, bits, strategy.m(n))
     if strategy.reads_single:
-        settings = CompressorSettings(ratio=strategy.ratio, seed=seed, **how)
-        phis = settings.phis(Skin(*shape, F_MAX_N, mask=mask))
-        return raster(mask, bits, None if strategy.phi == "full" else phis)
-    how |= {"mask": mask, "f_max_n": F_MAX_N, "sigma_end": noise * F_MAX_N}
+        settings = CompressorSettings(ratio=strategy.ratio, seed=seed, **options)
+        if strategy.phi == "full":
+            return raster(mask, bits)
+        return raster(mask, bits, settings.phis(Skin(*shape, F_MAX_N, mask=mask)))
+
+    options |= {"mask": mask, "f_max_n": F_MAX_N, "sigma_end": noise * F_MAX_N}
     m = strategy.m(n, mask.shape[0])
-    method = make_method(PRESETS["skin"], shape, strategy.ratio, seed, m=m, **how)
+    method = make_method(PRESETS["skin"], shape, strategy.ratio, seed, m=m, **options)
     method.bits = bits
     return lambda taxels: method.reconstruct(taxels).forces
 
@@ -118,31 +123,39 @@ def presses(
     scene: int, mask: Mask, noise: float, rate_hz: float, seed: int
 ) -> Iterator[tuple[Floats, Floats]]:
     """Yield (truth, readings) of one of the scenes, 0..N_SCENES - 1, newtons; see the module."""
-    drawn = np.random.default_rng([seed, scene, 4])
-    ramp, pause, held = (max(1, round(s * rate_hz)) for s in (RAMP_S, PAUSE_S, HELD_S))
-    active = math.exp(drawn.uniform(*np.log(ACTIVE)))
+    rng = np.random.default_rng([seed, scene, 4])
+    active_part = math.exp(rng.uniform(*np.log(ACTIVE)))
+    timing = Timing(
+        N_UNTOUCHED,
+        max(1, round(RAMP_S * rate_hz)),
+        max(1, round(PAUSE_S * rate_hz)),
+        max(1, round(HELD_S * rate_hz)),
+    )
+    n_pressed = min(MOST_FRAMES, max(4, round(SCENE_S * rate_hz)))
     return press_frames(
         BODIES[scene % len(BODIES)],
         (mask.shape[0], mask.shape[1]),
-        N_UNTOUCHED + min(MOST_FRAMES, max(4, round(SCENE_S * rate_hz))),
+        N_UNTOUCHED + n_pressed,
         seed * N_SCENES + scene,
         course=COURSES[scene % len(COURSES)],
         speed=SPEED / rate_hz,
-        active=active,
+        active=active_part,
         mask=mask,
         f_max=F_MAX_N,
         noise=NoiseModel(F_MAX_N, noise * F_MAX_N, noise * F_MAX_N),
-        timing=Timing(N_UNTOUCHED, ramp, pause, held),
+        timing=timing,
     )
 
 
 def contact_db(reader: Reader, frames: Iterable[tuple[Floats, Floats]]) -> list[float]:
     """PSNR of each contact frame in dB, of (truth, readings) in newtons."""
-    return [
-        psnr_db(forces - truth, F_MAX_N)
-        for truth, forces in ((truth, reader(taxels)) for truth, taxels in frames)
-        if in_contact(truth, F_MAX_N)
-    ]
+    dbs = []
+    for truth, taxels in frames:
+        # Every frame is read: the reader has a memory.
+        forces = reader(taxels)
+        if in_contact(truth, F_MAX_N):
+            dbs.append(psnr_db(forces - truth, F_MAX_N))
+    return dbs
 
 
 TOUCH_SIDE = 3
@@ -169,12 +182,14 @@ def light_touch(reader: Reader, mask: Mask, noise: float, seed: int) -> float:
     taxels in 60 untouched frames, and within 50 % of the true one. Forces rise from half the noise
     in steps of 25 %, 10 touches each.
     """
-    model = NoiseModel(F_MAX_N, *2 * [noise * F_MAX_N])
+    model = NoiseModel(F_MAX_N, noise * F_MAX_N, noise * F_MAX_N)
     rng = np.random.default_rng([seed, 5])
     nothing = np.zeros(mask.shape, dtype=np.float32)
     sides = tuple(min(TOUCH_SIDE, side) for side in mask.shape)
-    inside = np.lib.stride_tricks.sliding_window_view(mask, sides).all(axis=(-2, -1))
-    places = np.argwhere(inside) if inside.any() else np.zeros((1, 2), dtype=np.intp)
+    is_whole = np.lib.stride_tricks.sliding_window_view(mask, sides).all(axis=(-2, -1))
+    places = np.zeros((1, 2), dtype=np.intp)
+    if is_whole.any():
+        places = np.argwhere(is_whole)
 
     def frame(truth: Floats) -> Floats:
         taxels = model.apply(truth, rng)
@@ -185,6 +200,7 @@ def light_touch(reader: Reader, mask: Mask, noise: float, seed: int) -> float:
         windows = np.lib.stride_tricks.sliding_window_view(forces, sides)
         return float(windows.mean(axis=(-2, -1)).max())
 
+    # The reader settles before the threshold is learnt.
     for _ in range(SETTLING_FRAMES):
         frame(nothing)
     threshold = max(largest(frame(nothing)) for _ in range(FALSE_FRAMES))
@@ -192,21 +208,36 @@ def light_touch(reader: Reader, mask: Mask, noise: float, seed: int) -> float:
     def is_missed(force: float) -> bool:
         for _ in range(GAP_FRAMES):
             frame(nothing)
-        row, col = places[rng.integers(len(places))]
-        here = slice(row, row + sides[0]), slice(col, col + sides[1])
-        truth = nothing.copy()
-        truth[here] = force
-        means = (float(frame(truth)[here].mean()) for _ in range(TOUCH_FRAMES))
-        return not any(mean > threshold and abs(mean - force) <= force / 2 for mean in means)
 
-    part = noise / 2
-    while part < LADDER:
-        part = min(part, 1.0)
-        missed = (k for k in range(TRIALS) if is_missed(F_MAX_N * part))
-        if len(list(itertools.islice(missed, MISSES + 1))) <= MISSES:
-            return part
-        part *= LADDER
+        row, col = places[rng.integers(len(places))]
+        touched = (slice(row, row + sides[0]), slice(col, col + sides[1]))
+        truth = nothing.copy()
+        truth[touched] = force
+        for _ in range(TOUCH_FRAMES):
+            mean = float(frame(truth)[touched].mean())
+            if mean > threshold and abs(mean - force) <= force / 2:
+                return False
+        return True
+
+    # From below the noise, where no touch can be found.
+    force_part = noise / 2
+    while force_part < LADDER:
+        force_part = min(force_part, 1.0)
+        if _count_misses(is_missed, F_MAX_N * force_part) <= MISSES:
+            return force_part
+        force_part *= LADDER
     return math.nan
+
+
+def _count_misses(is_missed: Callable[[float], bool], force: float) -> int:
+    """Count the misses among `TRIALS` touches of one force; end when there are too many."""
+    n_missed = 0
+    for _ in range(TRIALS):
+        if is_missed(force):
+            n_missed += 1
+        if n_missed > MISSES:
+            break
+    return n_missed
 
 
 def grid_of(design: Design) -> Mask:
@@ -217,9 +248,12 @@ def grid_of(design: Design) -> Mask:
         return design.mask
     if design.n_rows is not None and design.n_cols is not None:
         return np.ones((design.n_rows, design.n_cols), dtype=np.bool_)
+
+    # The last row may have cells without a taxel.
     side = math.isqrt(design.n_taxels - 1) + 1
-    cells = np.arange(-(-design.n_taxels // side) * side) < design.n_taxels
-    return cells.reshape(-1, side)
+    n_rows = -(-design.n_taxels // side)
+    cells = np.arange(n_rows * side) < design.n_taxels
+    return cells.reshape(n_rows, side)
 
 
 def simulated(rows: Sequence[Row], design: Design, n_scenes: int = FEW_SCENES) -> list[Row]:
@@ -240,14 +274,16 @@ def simulated(rows: Sequence[Row], design: Design, n_scenes: int = FEW_SCENES) -
         for k, row in enumerate(rows)
     }
     n_workers = min(len(os.sched_getaffinity(0)), len(tasks))
-    executor = f"process:{n_workers}" if n_workers > 1 else "serial"
+    executor = "serial"
+    if n_workers > 1:
+        executor = f"process:{n_workers}"
     finished = computed(executor, _simulate, tasks)
     with closing(finished):  # it ends the workers if one of them fails
         progress = tqdm(
             finished, "simulated", len(tasks), file=sys.stderr, disable=None, leave=False
         )
-        found = {k: future.result() for k, future in progress}
-    return [replace(row, accuracy=found[k]) for k, row in enumerate(rows)]
+        accuracies = {k: future.result() for k, future in progress}
+    return [replace(row, accuracy=accuracies[k]) for k, row in enumerate(rows)]
 
 
 def _simulate(task: Mapping[str, Any]) -> Accuracy:
@@ -268,15 +304,11 @@ def simulate(
     `seed` of scenes, noise and Phi, the first `n_scenes` (2..15) scenes of `simulation`. Raises
     SparseskinError if the strategy is not possible on it.
     """
-    dbs = [
-        np.mean(
-            contact_db(
-                make_reader(strategy, mask, noise, bits, seed * N_SCENES + k),
-                presses(k, mask, noise, rate_hz, seed),
-            )
-        )
-        for k in range(n_scenes)
-    ]
+    dbs = []
+    for k in range(n_scenes):
+        reader = make_reader(strategy, mask, noise, bits, seed * N_SCENES + k)
+        frames = presses(k, mask, noise, rate_hz, seed)
+        dbs.append(np.mean(contact_db(reader, frames)))
     low, high = band(np.array(dbs))
     touch = light_touch(make_reader(strategy, mask, noise, bits, seed), mask, noise, seed)
     return Accuracy(float(np.mean(dbs)), low, high, touch)

@@ -52,10 +52,10 @@ def _placement(layout: object) -> Placement:
 
     if not isinstance(layout, str):
         raise SettingsError(f"{shown(layout)}: expected a file, or example:torso")
-    found = placed(layout)
-    if not 16 <= found.points.n <= MAX_TAXELS:
-        raise SettingsError(f"{layout}: {found.points.n} points; allowed: 16..{MAX_TAXELS}")
-    return found
+    placement = placed(layout)
+    if not 16 <= placement.points.n <= MAX_TAXELS:
+        raise SettingsError(f"{layout}: {placement.points.n} points; allowed: 16..{MAX_TAXELS}")
+    return placement
 
 
 def _sums(value: object) -> str:
@@ -71,8 +71,8 @@ def _rate(value: object) -> float:
 
 
 def _cores(value: object) -> int:
-    found = _CORES.fullmatch(value) if isinstance(value, str) else None
-    number = value if is_whole(value) else found and int(found[1])
+    match = _CORES.fullmatch(value) if isinstance(value, str) else None
+    number = int(match[1]) if match else value
     if not is_whole(number, 1, MOST_CORES):
         raise SettingsError(f"{shown(value)}: expected such as 4cores, 1..{MOST_CORES}")
     return int(number)
@@ -93,6 +93,7 @@ class Key:
 
 def _whole(default: Any, about: str, form: str, low: int, high: int) -> Key:
     def read(value: object) -> int:
+        # Options are texts.
         if isinstance(value, str) and value.isascii() and value.isdigit() and len(value) < 10:
             value = int(value)
         if not is_whole(value, low, high):
@@ -181,11 +182,12 @@ def read_file(path: Path) -> dict[str, Any]:
         raise SettingsError(f"{path}: {error.strerror}") from error
     except ValueError as error:  # of its text encoding, too
         raise SettingsError(f"{path}: no TOML: {error}") from error
-    found: dict[str, Any] = dict(tree)
-    points = found.get("points")
+    keys: dict[str, Any] = dict(tree)
+    # A relative path is one from the folder of the file.
+    points = keys.get("points")
     if isinstance(points, str) and not points.startswith(EXAMPLE):
-        found["points"] = str(path.parent / points)
-    return found
+        keys["points"] = str(path.parent / points)
+    return keys
 
 
 def make_design(stated: Mapping[str, Any], place: Place = lambda key: f"{key}: ") -> Design:
@@ -194,56 +196,87 @@ def make_design(stated: Mapping[str, Any], place: Place = lambda key: f"{key}: "
     `place` returns for the key, value, what is allowed.
     """
     faults = [
-        f"{place(key)}unknown key{did_you_mean(key, KEYS)}" for key in stated if key not in KEYS
+        f"{place(name)}unknown key{did_you_mean(name, KEYS)}" for name in stated if name not in KEYS
     ]
-    found: dict[str, Any] = dict.fromkeys(KEYS)
-    for key, one in KEYS.items():
-        value = stated.get(key, one.default)
+    values: dict[str, Any] = dict.fromkeys(KEYS)
+    for name, key in KEYS.items():
+        value = stated.get(name, key.default)
+        if isinstance(value, str):
+            value = value.strip()
         try:
             if value is not None:
-                found[key] = one.read(value.strip() if isinstance(value, str) else value)
+                values[name] = key.read(value)
         except SparseskinError as error:
-            faults.append(f"{place(key)}{error}")
-    if not faults and (fault := _contradiction(found)):
-        faults.append(f"{place(fault[0])}{fault[1]}")
+            faults.append(f"{place(name)}{error}")
+    if not faults:
+        contradiction = _contradiction(values)
+        if contradiction is not None:
+            name, fault = contradiction
+            faults.append(f"{place(name)}{fault}")
     if faults:
         raise SettingsError(*faults)
-    n_rows, n_cols, placement = (found[key] for key in ("n_rows", "n_cols", "points"))
-    n_taxels = placement.points.n if placement else found["taxels"] or n_rows * n_cols
-    from_points = placement is not None and "pitch" not in stated
+
+    return _design_of(values, states_pitch="pitch" in stated)
+
+
+def _design_of(values: Mapping[str, Any], states_pitch: bool) -> Design:
+    """The design of values that go together. A layout of points states the number of taxels, their
+    places, and their distance, if that is not stated.
+    """
+    n_rows = values["n_rows"]
+    n_cols = values["n_cols"]
+    n_taxels = values["taxels"]
+    pitch_m = values["pitch"]
+    mask = None
+    placement = values["points"]
+    if placement is not None:
+        n_taxels = placement.points.n
+        mask = placement.skin(values["range"], "N").exists
+        if not states_pitch:
+            pitch_m = placement.pitch_m
+    elif not n_taxels:
+        n_taxels = n_rows * n_cols
+
+    adc = replace(values["adc"], converters=values["converters"], settling_s=values["settling"])
     return Design(
         n_rows=n_rows,
         n_cols=n_cols,
         n_taxels=n_taxels,
-        pitch_m=placement.pitch_m if from_points else found["pitch"],
-        rate_hz=found["rate"],
-        noise_n=found["noise"],
-        range_n=found["range"],
-        adc=replace(found["adc"], converters=found["converters"], settling_s=found["settling"]),
-        sums=found["sums"],
-        bits=found["bits"],
-        bus=found["bus"],
-        edge=found["edge"],
-        cores=found["host"],
-        mask=None if placement is None else placement.skin(found["range"], "N").exists,
+        pitch_m=pitch_m,
+        rate_hz=values["rate"],
+        noise_n=values["noise"],
+        range_n=values["range"],
+        adc=adc,
+        sums=values["sums"],
+        bits=values["bits"],
+        bus=values["bus"],
+        edge=values["edge"],
+        cores=values["host"],
+        mask=mask,
     )
 
 
-def _contradiction(found: Mapping[str, Any]) -> tuple[str, str] | None:
+def _contradiction(values: Mapping[str, Any]) -> tuple[str, str] | None:
     """A key that is missing or does not go with others, and the fault; None if there is none."""
-    grid = ["n_rows", "n_cols"]
-    size = [key for key in SIZE_KEYS if found[key] is not None]
-    if not size:
+    size_keys = [key for key in SIZE_KEYS if values[key] is not None]
+    if not size_keys:
         return "n_rows", "is missing; state n_rows and n_cols, taxels, or points"
-    if size in (["n_rows"], ["n_cols"]):
-        missing = "n_cols" if size == ["n_rows"] else "n_rows"
-        return missing, "is missing; state n_rows and n_cols"
-    if size != grid and len(size) > 1:
-        return size[-1], f"states the size once more; leave out {size[0]}"
-    if size == grid and not 16 <= (n := found["n_rows"] * found["n_cols"]) <= MAX_TAXELS:
-        sides = f"{found['n_rows']} x {found['n_cols']}"
-        return "n_rows", f"{sides} are {n} taxels; allowed: 16..{MAX_TAXELS}"
-    if not 1e-6 * found["range"] <= found["noise"] <= 0.3 * found["range"]:
-        of = f"{found['noise']:g} N is not allowed for a range of {found['range']:g} N"
-        return "noise", f"{of}; allowed: 0.0001 to 30 % of it"
+    if size_keys == ["n_rows"]:
+        return "n_cols", "is missing; state n_rows and n_cols"
+    if size_keys == ["n_cols"]:
+        return "n_rows", "is missing; state n_rows and n_cols"
+    if size_keys == ["n_rows", "n_cols"]:
+        n_rows = values["n_rows"]
+        n_cols = values["n_cols"]
+        n = n_rows * n_cols
+        if not 16 <= n <= MAX_TAXELS:
+            return "n_rows", f"{n_rows} x {n_cols} are {n} taxels; allowed: 16..{MAX_TAXELS}"
+    elif len(size_keys) > 1:
+        return size_keys[-1], f"states the size once more; leave out {size_keys[0]}"
+
+    noise = values["noise"]
+    full_scale = values["range"]
+    if not 1e-6 * full_scale <= noise <= 0.3 * full_scale:
+        text = f"{noise:g} N is not allowed for a range of {full_scale:g} N"
+        return "noise", f"{text}; allowed: 0.0001 to 30 % of it"
     return None

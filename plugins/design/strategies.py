@@ -42,8 +42,8 @@ class Strategy:
         """
         m = max(1, m_of(n_taxels, self.ratio, self.rows))
         if self.phi == "row_local" and n_rows:
-            least = min(2 * n_rows, n_taxels)
-            m = min(n_taxels, max(least, m // n_rows * n_rows))
+            m_min = min(2 * n_rows, n_taxels)
+            m = min(n_taxels, max(m_min, m // n_rows * n_rows))
         return m
 
 

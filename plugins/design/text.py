@@ -13,12 +13,41 @@ from .spec import Design
 
 def hertz(rate: float) -> str:
     """A rate in whole Hz, below 10 Hz with three digits."""
-    return f"{rate:.0f}" if rate >= 10 else f"{rate:.3g}"
+    if rate >= 10:
+        return f"{rate:.0f}"
+    return f"{rate:.3g}"
 
 
 def _db(text: Callable[[Accuracy], str]) -> Callable[[Row], str]:
     """Cell of a figure of accuracy; "-" where nothing was simulated."""
-    return lambda row: "-" if math.isnan(row.accuracy.psnr_db) else text(row.accuracy)
+
+    def cell(row: Row) -> str:
+        if math.isnan(row.accuracy.psnr_db):
+            return "-"
+        return text(row.accuracy)
+
+    return cell
+
+
+def _rate(row: Row) -> str:
+    """Cell of the rate that is reached, marked where it is less than asked for."""
+    if row.is_met:
+        return hertz(row.reached_hz)
+    return f"{hertz(row.reached_hz)}!"
+
+
+def _limit(row: Row) -> str:
+    """Cell of the limiting stage, in brackets where it does not limit what is asked for."""
+    if row.is_met:
+        return f"({row.limit})"
+    return row.limit
+
+
+def _touch(row: Row) -> str:
+    """Cell of the lightest touch, mN; "-" where none is known."""
+    if math.isnan(row.light_touch_n):
+        return "-"
+    return f"{1e3 * row.light_touch_n:.3g}"
 
 
 COLUMNS: dict[str, Callable[[Row], str]] = {
@@ -26,13 +55,11 @@ COLUMNS: dict[str, Callable[[Row], str]] = {
     "M": lambda row: str(row.m),
     "wires": lambda row: str(row.lines),
     "bytes": lambda row: str(row.n_bytes),
-    "Hz": lambda row: f"{hertz(row.reached_hz)}{'' if row.is_met else '!'}",
-    "limit": lambda row: f"({row.limit})" if row.is_met else row.limit,
+    "Hz": _rate,
+    "limit": _limit,
     "PSNR\ndB": _db(lambda a: f"{a.psnr_db:.1f}"),
     "90 % of\nscenes": _db(lambda a: f"{a.low_db:.0f}..{a.high_db:.0f}"),
-    "touch\nmN": lambda row: (
-        "-" if math.isnan(row.light_touch_n) else f"{1e3 * row.light_touch_n:.3g}"
-    ),
+    "touch\nmN": _touch,
     "latency\nms": lambda row: f"{row.latency_s * 1e3:.1f}",
     "host\ncores": lambda row: f"{row.host_cores:.2f}",
 }
@@ -42,29 +69,31 @@ COLUMNS: dict[str, Callable[[Row], str]] = {
 def breaks(row: Row, design: Design) -> str:
     """What limits a strategy: the stage, what it has to do, its time, the rate that this allows."""
     ms = f"{row.stage_s[row.limit] * 1e3:.3g} ms"
+    # What the limiting stage has to do in a frame.
     if row.limit == "ADC":
-        what = f"{row.conversions} conversions take {ms} ({design.adc.label})"
+        load = f"{row.conversions} conversions take {ms} ({design.adc.label})"
     elif row.limit == "bus":
-        what = f"{row.n_bytes} bytes take {ms} ({design.bus.label})"
+        load = f"{row.n_bytes} bytes take {ms} ({design.bus.label})"
     elif row.limit == "edge":
-        sums = 0 if row.strategy.reads_single else row.m
-        work = f"{instructions(row.conversions, sums, row.n_bytes):,} instructions take {ms}"
-        work = f"{ms} a frame" if design.edge.clock_hz is None else work
-        what = f"{work} ({design.edge.label})"
+        n_sums = 0 if row.strategy.reads_single else row.m
+        work = f"{instructions(row.conversions, n_sums, row.n_bytes):,} instructions take {ms}"
+        if design.edge.clock_hz is None:
+            work = f"{ms} a frame"
+        load = f"{work} ({design.edge.label})"
     elif row.patches > 1:
         cores = f"{row.patches} patches on {design.cores} cores"
-        what = f"{ms} a frame and patch under a dense press, {cores}"
+        load = f"{ms} a frame and patch under a dense press, {cores}"
     else:
-        what = f"{ms} a frame under a dense press, on one core"
-    return f"{row.limit}: {what}: {hertz(row.possible_hz)} Hz"
+        load = f"{ms} a frame under a dense press, on one core"
+    return f"{row.limit}: {load}: {hertz(row.possible_hz)} Hz"
 
 
 def first_breaks(rows: Sequence[Row], design: Design) -> list[tuple[str, list[str]]]:
     """What limits the strategies, each text with the names of those that it holds for."""
-    found: dict[str, list[str]] = {}
+    names_of_text: dict[str, list[str]] = {}
     for row in rows:
-        found.setdefault(breaks(row, design), []).append(row.strategy.name)
-    return list(found.items())
+        names_of_text.setdefault(breaks(row, design), []).append(row.strategy.name)
+    return list(names_of_text.items())
 
 
 def conclusions(rows: Sequence[Row], design: Design) -> list[str]:
@@ -87,6 +116,7 @@ def conclusions(rows: Sequence[Row], design: Design) -> list[str]:
         fast = max(rows, key=lambda row: row.possible_hz)
         line = f"The fastest, {hertz(fast.possible_hz)} Hz: {_named(fast)}, {_beside(fast, full)}."
         return [*lines, line]
+
     rated = [row for row in met if not math.isnan(row.accuracy.psnr_db)]
     if rated:
         best = max(rated, key=lambda row: row.accuracy.psnr_db)
@@ -99,7 +129,9 @@ def conclusions(rows: Sequence[Row], design: Design) -> list[str]:
 def _named(row: Row) -> str:
     """Name of a strategy, and its PSNR where it is known."""
     db = row.accuracy.psnr_db
-    return row.strategy.name if math.isnan(db) else f"{row.strategy.name} ({db:.1f} dB)"
+    if math.isnan(db):
+        return row.strategy.name
+    return f"{row.strategy.name} ({db:.1f} dB)"
 
 
 def _beside(row: Row, full: Row) -> str:
@@ -110,33 +142,34 @@ def _beside(row: Row, full: Row) -> str:
         ("bytes", row.n_bytes, full.n_bytes),
     )
     parts = []
-    for name, count, of_all in counts:
-        if count == of_all:
+    for name, count, count_of_all in counts:
+        if count == count_of_all:
             change = "as many"
-        elif count < of_all:
-            change = f"{1 - count / of_all:.0%} fewer"
+        elif count < count_of_all:
+            change = f"{1 - count / count_of_all:.0%} fewer"
         else:
-            change = f"{count / of_all:.3g} times as many"
+            change = f"{count / count_of_all:.3g} times as many"
         parts.append(f"{count} {name} ({change})")
     return ", ".join(parts)
 
 
 def _table(rows: Sequence[Row]) -> str:
     """The table for a terminal; headings have two lines, names are aligned to the left."""
-    heads = [column.partition("\n")[::2] for column in COLUMNS]
-    lines = [*zip(*heads, strict=True), *([text(row) for text in COLUMNS.values()] for row in rows)]
-    widths = [max(map(len, column)) for column in zip(*lines, strict=True)]
-    return "\n".join(
-        "  ".join(
-            cell.ljust(width) if name in ("way to read", "limit") else cell.rjust(width)
-            for name, cell, width in zip(COLUMNS, line, widths, strict=True)
-        ).rstrip()
-        for line in lines
-    )
+    columns = []
+    for heading, text in COLUMNS.items():
+        heads = heading.partition("\n")[::2]
+        cells = [*heads, *(text(row) for row in rows)]
+        width = max(map(len, cells))
+        is_words = heading in ("way to read", "limit")
+        columns.append([cell.ljust(width) if is_words else cell.rjust(width) for cell in cells])
+    return "\n".join("  ".join(cells).rstrip() for cells in zip(*columns, strict=True))
 
 
 def terminal(rows: Sequence[Row], design: Design) -> str:
     """The table of a design, what breaks first and notes, for a terminal."""
+    breaking = [
+        f"{_filled(', '.join(names))}\n  {text}" for text, names in first_breaks(rows, design)
+    ]
     parts = [
         _filled(
             f"{design.size}, {design.pitch_m * 1e3:.4g} mm apart; ADC {design.adc.label}; "
@@ -146,9 +179,7 @@ def terminal(rows: Sequence[Row], design: Design) -> str:
         _table(rows),
         "\n".join(map(_filled, LEGEND)),
         "What breaks first:",
-        "\n".join(
-            f"{_filled(', '.join(names))}\n  {text}" for text, names in first_breaks(rows, design)
-        ),
+        "\n".join(breaking),
         "\n".join(map(_filled, conclusions(rows, design))),
     ]
     return "\n\n".join(parts)
@@ -172,6 +203,8 @@ LEGEND = (
 def record(row: Row, design: Design) -> dict[str, object]:
     """A row as plain values with their units in the names."""
     a = row.accuracy
+    rates = {f"{stage.lower()}_hz": hz for stage, hz in row.stage_hz.items()}
+    times = {f"{stage.lower()}_s": s for stage, s in row.stage_s.items()}
     return {
         "strategy": row.strategy.name,
         "m": row.m,
@@ -181,8 +214,8 @@ def record(row: Row, design: Design) -> dict[str, object]:
         "asked_hz": design.rate_hz,
         "reached_hz": row.reached_hz,
         "limit": row.limit,
-        **{f"{stage.lower()}_hz": hz for stage, hz in row.stage_hz.items()},
-        **{f"{stage.lower()}_s": s for stage, s in row.stage_s.items()},
+        **rates,
+        **times,
         "host_calm_s": row.host_calm_s,
         "latency_s": row.latency_s,
         "host_cores": row.host_cores,

@@ -27,22 +27,25 @@ def configure(parser: argparse.ArgumentParser) -> None:
     from sparseskin.nodes.compressor.phi.rotation import RATIO, ROWS
 
     add = add_commands(parser, "A compressor in C99 for the board beside the skin.")
+    # The options that most users leave out are listed apart.
     make = add("export", _export, "write its program")
-    more = rare(make)
+    rare_options = rare(make)
     make.add_argument("--n-rows", metavar="R", type=int, help="rows of taxels")
     make.add_argument("--n-cols", metavar="C", type=int, help="columns of taxels")
     about = f"taxels a measurement (default: {RATIO:g})"
     make.add_argument("--ratio", type=float, help=about)
-    more.add_argument("--m", metavar="M", type=int, help="number of measurements, for --ratio")
+    rare_options.add_argument(
+        "--m", metavar="M", type=int, help="number of measurements, for --ratio"
+    )
     about = "bits of a measurement, 4..16 (default: 8)"
     make.add_argument("--bits", type=int, default=8, help=about)
     about = "rows of the matrix: the same in each frame or not (default: as the compressor chooses)"
-    more.add_argument("--rows-mode", choices=ROWS, help=about)
+    rare_options.add_argument("--rows-mode", choices=ROWS, help=about)
     about = "bits of a reading, 1..16: counts are 0 .. 2^bits - 1 (default: 12)"
     make.add_argument("--adc-bits", metavar="BITS", type=int, default=12, help=about)
     about = f"size of the Hadamard blocks (default: {BLOCK})"
-    more.add_argument("--block", metavar="B", type=int, default=BLOCK, help=about)
-    more.add_argument("--seed", type=int, default=0, help="seed of the matrix (default: 0)")
+    rare_options.add_argument("--block", metavar="B", type=int, default=BLOCK, help=about)
+    rare_options.add_argument("--seed", type=int, default=0, help="seed of the matrix (default: 0)")
     make.add_argument(
         "--skin", metavar="skin.toml", type=Path, help="rows, columns, mask of a skin"
     )
@@ -69,6 +72,7 @@ def _export(arguments: argparse.Namespace) -> int:
     if arguments.skin is not None:
         if n_rows is not None or n_cols is not None:
             raise SettingsError("--skin: states rows and columns; leave out --n-rows and --n-cols")
+
         from sparseskin.nodes.sensor.calibration.skin_file import load_skin
 
         skin = load_skin(arguments.skin).skin
@@ -78,6 +82,7 @@ def _export(arguments: argparse.Namespace) -> int:
     elif n_rows is None or n_cols is None:
         missing = "--n-rows" if n_rows is None else "--n-cols"
         raise SettingsError(f"{missing}: is missing; state --n-rows and --n-cols, or --skin")
+
     with naming_options(_OPTIONS):
         described = EdgeDescription.chosen(
             n_rows,
@@ -85,7 +90,11 @@ def _export(arguments: argparse.Namespace) -> int:
             ratio=RATIO if arguments.ratio is None else arguments.ratio,
             rows=arguments.rows_mode,
             mask=mask,
-            **{key: getattr(arguments, key) for key in ("m", "bits", "block", "seed", "adc_bits")},
+            m=arguments.m,
+            bits=arguments.bits,
+            block=arguments.block,
+            seed=arguments.seed,
+            adc_bits=arguments.adc_bits,
         )
     export(described, arguments.out)
     print(

@@ -77,18 +77,20 @@ class EdgeDescription(Settings):
         if self.n_cells > MAX_CELLS:
             raise SettingsError(f"n_rows: {self.n_cells} cells; allowed: {MAX_CELLS} or fewer")
         if self.mask is not None:
-            if len(self.mask) != self.n_rows or {len(row) for row in self.mask} != {self.n_cols}:
-                raise SettingsError(
-                    f"mask: expected {self.n_rows} texts of {self.n_cols} characters"
-                )
-            if set("".join(self.mask)) - {"0", "1"}:
-                raise SettingsError("mask: expected texts of 0 and 1")
-            if not self.n_taxels:
-                raise SettingsError("mask: leaves no taxel")
+            self._check_mask(self.mask)
         if self.m > self.n_taxels:
             raise SettingsError(f"m: {self.m} is not allowed; allowed: 1..{self.n_taxels}")
         if self.rows == ROTATING:
             check_subsets(self.n_taxels, self.m)
+
+    def _check_mask(self, mask: tuple[str, ...]) -> None:
+        """Raise SettingsError if a mask is not of this grid, or leaves no taxel."""
+        if len(mask) != self.n_rows or {len(row) for row in mask} != {self.n_cols}:
+            raise SettingsError(f"mask: expected {self.n_rows} texts of {self.n_cols} characters")
+        if set("".join(mask)) - {"0", "1"}:
+            raise SettingsError("mask: expected texts of 0 and 1")
+        if not self.n_taxels:
+            raise SettingsError("mask: leaves no taxel")
 
     @classmethod
     def chosen(
@@ -100,17 +102,19 @@ class EdgeDescription(Settings):
         m: int | None = None,
         rows: str | None = None,
         mask: Mask | None = None,
-        **others: Any,
+        **values: Any,
     ) -> Self:
         """Describe an edge by its compression ratio, or M, with the rows and M that the compressor
         node chooses for them. Raises SparseskinError as the class, and if the compressor refuses
         them.
         """
-        texts = None if mask is None else tuple(map("".join, np.where(mask, "1", "0")))
-        made = cls(n_rows, n_cols, m=1, mask=texts, **others)
+        texts = None
+        if mask is not None:
+            texts = tuple("".join(row) for row in np.where(mask, "1", "0"))
+        description = cls(n_rows, n_cols, m=1, mask=texts, **values)
         settings = CompressorSettings(phi="sbhe", ratio=ratio, m=m, rows=rows)
-        resolved, n_measurements = settings.rows_and_m(made.n_taxels)
-        return replace(made, rows=resolved, m=n_measurements)
+        resolved, n_measurements = settings.rows_and_m(description.n_taxels)
+        return replace(description, rows=resolved, m=n_measurements)
 
     @property
     def n_cells(self) -> int:
@@ -162,20 +166,20 @@ class EdgeDescription(Settings):
     def subsets(self) -> list[SbhePhi]:
         """The matrix of each row subset."""
         phi = SbhePhi(self.n_taxels, self.m, self.seed, self.block, self.rule)
-        found = row_subsets(phi, self.rows)
-        return [one for one in found if isinstance(one, SbhePhi)]
+        phis = row_subsets(phi, self.rows)
+        return [phi_of_subset for phi_of_subset in phis if isinstance(phi_of_subset, SbhePhi)]
 
     @cached_property
     def tags(self) -> dict[int, str]:
         """Fingerprint of each row subset's matrix, by its first 8 digits as a number. Raises
         SettingsError if two are the same.
         """
-        found = {int(phi.fingerprint[:8], 16): phi.fingerprint for phi in self.subsets}
-        if len(found) < len(self.subsets):
+        by_tag = {int(phi.fingerprint[:8], 16): phi.fingerprint for phi in self.subsets}
+        if len(by_tag) < len(self.subsets):
             raise SettingsError(
                 "seed: two row subsets have the same short fingerprint; allowed: others"
             )
-        return found
+        return by_tag
 
     def to_toml(self) -> str:
         """Return the text of `edge.toml`."""
@@ -188,7 +192,7 @@ class EdgeDescription(Settings):
         lines = [
             "# What the program of this folder measures: the settings `source` and `description`",
             "# of a node of type edge read it.",
-            *(f"{k} = {_quoted(v)}" for k, v in values.items()),
+            *(f"{name} = {_quoted(value)}" for name, value in values.items()),
         ]
         if self.mask is not None:
             lines += ["# 1 where a taxel exists, a text a row.", "mask = ["]
@@ -213,24 +217,29 @@ class EdgeDescription(Settings):
 
     @classmethod
     def _of(cls, values: dict[str, Any]) -> Self:
-        version, fingerprint = (values.pop(key, None) for key in ("version", "fingerprint"))
+        version = values.pop("version", None)
+        fingerprint = values.pop("fingerprint", None)
         if version != FILE_VERSION:
             raise SettingsError(f"version: {version!r} is not allowed; allowed: {FILE_VERSION}")
-        made = cls.from_mapping(values)
+        description = cls.from_mapping(values)
         for field in fields(cls):
             if field.name not in {*values, "mask"}:
                 raise SettingsError(f"{field.name}: is missing")
-        if made.phi.fingerprint != fingerprint:
+        if description.phi.fingerprint != fingerprint:
+            seed = description.seed
             raise SettingsError(
-                f"fingerprint: {fingerprint!r}, but seed {made.seed} gives Phi "
-                f"{made.phi.fingerprint} here: the file was changed, or the generators differ"
+                f"fingerprint: {fingerprint!r}, but seed {seed} gives Phi "
+                f"{description.phi.fingerprint} here: the file was changed, or the generators "
+                "differ"
             )
-        _ = made.tags
-        return made
+        _ = description.tags  # it raises if two are the same
+        return description
 
 
 def _quoted(value: Any) -> str:
-    return f'"{value}"' if isinstance(value, str) else str(value)
+    if isinstance(value, str):
+        return f'"{value}"'
+    return str(value)
 
 
 Counts = npt.NDArray[np.uint16]
@@ -276,15 +285,18 @@ def compressed(description: EdgeDescription, frames: Iterable[Counts]) -> Iterat
     subsets = description.subsets
     for seq, counts in enumerate(frames):
         phi = subsets[seq % len(subsets)]
-        given = np.minimum(counts.reshape(-1)[description.cells], description.full_scale)
-        y = quantised(phi.forward(given.astype(np.float32)), description.bits)
+        of_taxels = counts.reshape(-1)[description.cells]
+        readings = np.minimum(of_taxels, description.full_scale)
+        y = quantised(phi.forward(readings.astype(np.float32)), description.bits)
         yield frame_bytes(description, seq, phi.fingerprint, y)
 
 
 def stated(payload: bytes) -> str:
     """Version and matrix of a payload, for a person."""
     version, tag, _ = _HEAD.unpack_from(payload)
-    return f"{tag:08x}" if version == VERSION else f"form {version}, read is {VERSION}"
+    if version != VERSION:
+        return f"form {version}, read is {VERSION}"
+    return f"{tag:08x}"
 
 
 def read_frame(description: EdgeDescription, payload: bytes) -> EdgeFrame | None:
@@ -294,6 +306,7 @@ def read_frame(description: EdgeDescription, payload: bytes) -> EdgeFrame | None
     phi = d.tags.get(tag)
     if version != VERSION or phi is None or not 0 < step < np.inf:
         return None
+
     codes = unpacked(payload[_HEAD.size :], d.m, d.bits)
     # One code more than the quantiser uses fits the bits.
     np.minimum(codes, largest_code(d.bits), out=codes)

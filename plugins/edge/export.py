@@ -30,7 +30,7 @@ def export(description: EdgeDescription, out: Path) -> None:
     """Write the program of an edge into a new folder. Raises OutputError if the folder exists or
     cannot be written; SettingsError if two row subsets have the same short fingerprint.
     """
-    made = {
+    texts = {
         DESCRIPTION: description.to_toml(),
         "README.md": readme(description),
         "edge_config.h": config(description),
@@ -39,9 +39,12 @@ def export(description: EdgeDescription, out: Path) -> None:
     }
     source = files(__package__) / "c"
     with whole_folder(out):
-        made |= {name: (source / name).read_text(encoding="utf-8") for name in COPIED}
-        made |= {f"arduino/{name}": made[name] for name in OF_SKETCH}
-        for name, text in made.items():
+        for name in COPIED:
+            texts[name] = (source / name).read_text(encoding="utf-8")
+        for name in OF_SKETCH:
+            texts[f"arduino/{name}"] = texts[name]
+
+        for name, text in texts.items():
             (out / name).parent.mkdir(exist_ok=True)
             (out / name).write_text(text, encoding="utf-8")
 
@@ -50,8 +53,18 @@ def config(description: EdgeDescription) -> str:
     """Text of `edge_config.h`: sizes and types."""
     d = description
     step_of_zeros = int(np.float32(SMALLEST / largest_code(d.bits)).view(np.uint32))
-    named = ("n_rows", "n_cols", "n_cells", "n_taxels", "m", "bits", "count_bytes", "frame_bytes")
-    numbers = {name.upper(): getattr(d, name) for name in named} | {
+    attributes = (
+        "n_rows",
+        "n_cols",
+        "n_cells",
+        "n_taxels",
+        "m",
+        "bits",
+        "count_bytes",
+        "frame_bytes",
+    )
+    numbers = {name.upper(): getattr(d, name) for name in attributes}
+    numbers |= {
         "BLOCK": max(block_sizes(d.n_taxels, d.block)),
         "N_GROUPS": len(_groups(d)),
         "N_SUBSETS": len(d.subsets),
@@ -70,15 +83,16 @@ def tables(description: EdgeDescription) -> str:
     for size, count in _groups(d):
         scale = np.reciprocal(np.sqrt(np.float32(size)))  # as SbhePhi rounds it
         mantissa, exponent = np.frexp(scale)
-        groups.append(
-            f"{{{count}, {size.bit_length() - 1}, {int(exponent) - 1}, "
-            f"0x{int(np.ldexp(float(mantissa), 32)):08x}u}}"
-        )
+        log2_size = size.bit_length() - 1
+        fraction = int(np.ldexp(float(mantissa), 32))
+        groups.append(f"{{{count}, {log2_size}, {int(exponent) - 1}, 0x{fraction:08x}u}}")
+
+    # A bit for each row of the Hadamard transform, set if it is measured.
     rows = []
     for phi in d.subsets:
-        kept = np.zeros(-(-d.n_taxels // 32) * 32, dtype=bool)
-        kept[phi.rows] = True
-        words = np.packbits(kept, bitorder="little").view("<u4")
+        is_chosen = np.zeros(-(-d.n_taxels // 32) * 32, dtype=bool)
+        is_chosen[phi.rows] = True
+        words = np.packbits(is_chosen, bitorder="little").view("<u4")
         rows.append(_array(f"0x{word:08x}u" for word in words.tolist()))
     cells = d.cells[d.phi.permutation]
     return _filled(
@@ -94,7 +108,7 @@ def vectors(description: EdgeDescription) -> str:
     """Text of `edge_vectors.h`: the hash of each test frame's bytes."""
     n_vectors = len(description.subsets) + 6
     frames = (check_counts(description, k) for k in range(n_vectors))
-    hashes = [fnv1a(sent) for sent in compressed(description, frames)]
+    hashes = [fnv1a(frame) for frame in compressed(description, frames)]
     values = _array(f"0x{value:08x}u" for value in hashes)
     return _filled("edge_vectors.h.in", n_vectors=n_vectors, hashes=values)
 
@@ -102,11 +116,22 @@ def vectors(description: EdgeDescription) -> str:
 def readme(description: EdgeDescription) -> str:
     """Text of `README.md`."""
     d = description
-    masked = "" if d.mask is None else f", {d.n_taxels} of which hold a taxel"
+    of_mask = ""
+    if d.mask is not None:
+        of_mask = f", {d.n_taxels} of which hold a taxel"
     tags = ", ".join(f"`{tag:08x}`" for tag in d.tags)
-    named = ("n_rows", "n_cols", "m", "rows", "bits", "full_scale", "code_bytes", "frame_bytes")
-    values = {name: getattr(d, name) for name in named}
-    values |= {"masked": masked, "n_subsets": len(d.subsets), "top": largest_code(d.bits)}
+    attributes = (
+        "n_rows",
+        "n_cols",
+        "m",
+        "rows",
+        "bits",
+        "full_scale",
+        "code_bytes",
+        "frame_bytes",
+    )
+    values = {name: getattr(d, name) for name in attributes}
+    values |= {"masked": of_mask, "n_subsets": len(d.subsets), "top": largest_code(d.bits)}
     return _filled("README.md.in", tags=tags, **values)
 
 
@@ -133,7 +158,8 @@ def _array(items: Iterable[str]) -> str:
             lines.append(line.rstrip())
             line = "    "
         line += f"{item}, "
-    return "{\n" + "\n".join([*lines, line.rstrip().rstrip(",")]) + "}"
+    lines.append(line.rstrip().rstrip(","))
+    return "{\n" + "\n".join(lines) + "}"
 
 
 def check_counts(description: EdgeDescription, k: int) -> Counts:
@@ -144,6 +170,7 @@ def check_counts(description: EdgeDescription, k: int) -> Counts:
         counts[:] = d.full_scale
     elif k == 2:
         counts[d.cells[0]] = 1
+    # Xorshift numbers, in all cells or in one of sixteen.
     elif k > 2:
         state = 2463534242 + k
         for i in range(d.n_cells):

@@ -37,7 +37,9 @@ def describe_wire(source: str, description: EdgeDescription, skin: Skin) -> Boar
     """
     kind, address, query = split_source(source)
     if kind not in KEYS or not address:
-        hint = suggestion(kind, KEYS) if kind not in KEYS else ""
+        hint = ""
+        if kind not in KEYS:
+            hint = suggestion(kind, KEYS)
         raise SourceError(f'"{source}": expected serial:DEVICE or udp:PORT{hint}')
     name = f"{kind}:{address}"
     with naming_board(name):
@@ -94,10 +96,12 @@ class EdgeSettings(PatchSettings):
 
     def skin(self, described: EdgeDescription) -> Skin:
         """The skin whose forces are measured."""
-        f_max = float(described.full_scale) if self.f_max is None else self.f_max
-        shape = described.n_rows, described.n_cols
+        f_max = self.f_max
+        if f_max is None:
+            f_max = float(described.full_scale)
         mask = None if described.mask is None else described.exists
-        return Skin(*shape, f_max, self.unit or COUNTS, self.pitch_m, mask)
+        unit = self.unit or COUNTS
+        return Skin(described.n_rows, described.n_cols, f_max, unit, self.pitch_m, mask)
 
 
 class Edge(SourceNode[EdgeSettings]):
@@ -114,7 +118,9 @@ class Edge(SourceNode[EdgeSettings]):
         self._described = EdgeDescription.read(Path(settings.description))
         self.skin = settings.skin(self._described)
         self._of_count = self.skin.f_max / self._described.full_scale
-        self._n_frames = self._n_other = self._n_logged = 0
+        self._n_frames = 0
+        self._n_other = 0
+        self._n_logged = 0
         self._stamp_ns = 0
         with naming("source"):
             self._wire = EdgeWire(describe_wire(settings.source, self._described, self.skin))
@@ -170,19 +176,23 @@ class Edge(SourceNode[EdgeSettings]):
         return False
 
     def tick(self, tick: Tick) -> Iterable[Message]:
-        found = self._wire.next_payload(WAIT_S)
+        arrived = self._wire.next_payload(WAIT_S)
         self._log_lines()
-        frame = None if found is None else read_frame(self._described, found[1])
-        self.acquired = frame is not None
-        if found is None:
+        self.acquired = False
+        if arrived is None:
             return
-        arrived_ns, payload = found
+
+        arrived_ns, payload = arrived
+        frame = read_frame(self._described, payload)
+        self.acquired = frame is not None
         if frame is None:
             self._n_other += 1
             self._log_other(payload)
             return
+
         self._n_frames += 1
         now_ns = self.context.clock.now_ns()
+        # Stamps rise from frame to frame.
         self._stamp_ns = max(now_ns - self._wire.age_ns(arrived_ns), self._stamp_ns + 1)
         yield Measurements(
             stamp_ns=self._stamp_ns,
@@ -202,8 +212,11 @@ class Edge(SourceNode[EdgeSettings]):
         text = f"{self._wire.name}: frame {self._n_frames}, {d.m} of {d.bits} bits"
         if self._n_other:
             text += f"; {self._n_other} of another matrix"
-        text += f"; dropped: {dropped}" if dropped else ""
-        return text if self._wire.is_there else f"{text}; the device is gone"
+        if dropped:
+            text += f"; dropped: {dropped}"
+        if not self._wire.is_there:
+            text += "; the device is gone"
+        return text
 
     def report(self) -> dict[str, Any]:
         figures = {**self._wire.figures(), "frames": self._n_frames, "other_matrix": self._n_other}

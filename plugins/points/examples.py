@@ -38,57 +38,85 @@ def torso(n: int = TORSO_POINTS) -> Layout:
     All taxels are about equally far apart, so that rings have different numbers of them, as many
     as their length holds: where it changes, the lattice has dislocations.
     """
+    # The largest pitch at which there are n, to a nanometre.
     low = 0.002
     high = 0.1
-    for _ in range(30):  # the largest pitch at which there are n, to a nanometre
+    for _ in range(30):
         pitch = 0.5 * (low + high)
-        low, high = (pitch, high) if _rings(pitch)[1].sum() >= n else (low, pitch)
-    heights, counts, along = _rings(low)
-    rings = [
-        np.interp(np.arange(count) / count * way[-1], way, _AROUND)
-        for count, way in zip(counts, along, strict=True)
-    ]
+        _, counts, _ = _rings(pitch)
+        if counts.sum() >= n:
+            low = pitch
+        else:
+            high = pitch
+    heights, counts, ways = _rings(low)
+
+    # Taxels at equal steps of the way around their ring.
+    rings = []
+    for count, way in zip(counts, ways, strict=True):
+        steps = np.arange(count) / count * way[-1]
+        rings.append(np.interp(steps, way, _AROUND))
+
     # The last rings, at the neck, lose what is too much.
     angles = np.concatenate(rings)[:n]
     z = np.repeat(heights, counts)[:n]
+
     widths, depths = _sections()
     a = widths(z)
     b = depths(z)
     cos = np.cos(angles)
     sin = np.sin(angles)
     places = np.stack([b * cos, a * sin, z], axis=1)
+
+    # The normal is perpendicular to the ring and to the line upwards.
     around = np.stack([-b * sin, a * cos, np.zeros(n)], axis=1)
     upward = np.stack([depths(z, 1) * cos, widths(z, 1) * sin, np.ones(n)], axis=1)
     normals = np.cross(around, upward)
-    return places, normals / np.linalg.norm(normals, axis=1, keepdims=True)
+    lengths = np.linalg.norm(normals, axis=1, keepdims=True)
+    return places, normals / lengths
 
 
 def _sections() -> tuple[PchipInterpolator, PchipInterpolator]:
     """Half width and half depth of the torso by its height, metres."""
-    widths, depths = (PchipInterpolator(_TORSO[:, 0], _TORSO[:, k]) for k in (1, 2))
-    return widths, depths
+    heights = _TORSO[:, 0]
+    return PchipInterpolator(heights, _TORSO[:, 1]), PchipInterpolator(heights, _TORSO[:, 2])
 
 
 def _rings(pitch: float) -> tuple[Doubles, Indices, Doubles]:
     """Heights of the rings, a pitch apart, their taxels, and the way around each at `_AROUND`."""
     widths, depths = _sections()
+
+    # The way up the skin, the mean of that at the side and that in front.
     z = np.linspace(_TORSO[0, 0], _TORSO[-1, 0], 2000)
-    steps = np.mean([np.hypot(np.diff(line(z)), np.diff(z)) for line in (widths, depths)], axis=0)
-    way = np.concatenate([[0.0], np.cumsum(steps)])
-    heights = np.interp(np.arange(0, way[-1], pitch), way, z)
-    a = widths(heights)[:, None]
-    b = depths(heights)[:, None]
-    parts = np.hypot(np.diff(b * np.cos(_AROUND)), np.diff(a * np.sin(_AROUND)))
-    along = np.pad(np.cumsum(parts, axis=1), ((0, 0), (1, 0)))
-    return heights, np.maximum(3, (along[:, -1] / pitch).astype(np.intp)), along
+    side_steps = np.hypot(np.diff(widths(z)), np.diff(z))
+    front_steps = np.hypot(np.diff(depths(z)), np.diff(z))
+    steps = np.mean([side_steps, front_steps], axis=0)
+    height_way = np.concatenate([[0.0], np.cumsum(steps)])
+    stops = np.arange(0, height_way[-1], pitch)
+    heights = np.interp(stops, height_way, z)
+
+    # A ring has three taxels at least.
+    ways = _around_ellipses(widths(heights), depths(heights))
+    counts = np.maximum(3, (ways[:, -1] / pitch).astype(np.intp))
+    return heights, counts, ways
+
+
+def _around_ellipses(a: Doubles, b: Doubles) -> Doubles:
+    """The way around ellipses of half axes a and b at each angle of `_AROUND`, (n_rings, 721)."""
+    x_steps = np.diff(b[:, None] * np.cos(_AROUND))
+    y_steps = np.diff(a[:, None] * np.sin(_AROUND))
+    ring_steps = np.hypot(x_steps, y_steps)
+    return np.pad(np.cumsum(ring_steps, axis=1), ((0, 0), (1, 0)))
 
 
 def grip() -> Layout:
     """A cylinder of the size of a hand's grip, taxels on a square lattice: 44 x 21."""
     n = round(2 * math.pi * GRIP_RADIUS_M / GRIP_PITCH_M)
-    k, i = np.meshgrid(np.arange(n), np.arange(round(GRIP_LENGTH_M / GRIP_PITCH_M) + 1))
+    n_rings = round(GRIP_LENGTH_M / GRIP_PITCH_M) + 1
+    k, i = np.meshgrid(np.arange(n), np.arange(n_rings))
     angle = 2 * np.pi * k.ravel() / n
     normals = np.stack([np.cos(angle), np.sin(angle), np.zeros(angle.size)], axis=1)
+
+    # The rings stand one above the other.
     places = GRIP_RADIUS_M * normals
     places[:, 2] = GRIP_PITCH_M * i.ravel()
     return places, normals

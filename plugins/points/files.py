@@ -43,7 +43,8 @@ all neighbours on a square grid."""
 
 def check_places(name: str, places: Doubles) -> None:
     """Raise SourceError if a place of a file, float64 (n, 3) in metres, is far away."""
-    if (k := first_far(places)) is not None:
+    k = first_far(places)
+    if k is not None:
         text = f"taxel {k} is not within {MAX_COORDINATE_M:g} m; is its unit right?"
         raise SourceError(f"{name}: {text}")
 
@@ -86,23 +87,28 @@ def estimated_normals(places: Doubles) -> Doubles:
     n = len(places)
     if n < 3:
         return np.tile([0.0, 0.0, 1.0], (n, 1))
+
+    # The direction in which the places around a point spread least.
     _, nearest = cKDTree(places).query(places, k=min(_AROUND, n))
-    around = places[nearest] - places[nearest].mean(axis=1, keepdims=True)
-    _, _, axes = np.linalg.svd(around)
+    around = places[nearest]
+    offsets = around - around.mean(axis=1, keepdims=True)
+    _, _, axes = np.linalg.svd(offsets)
     normals: Doubles = axes[:, 2]
     outward = np.einsum("ij,ij->i", normals, places - places.mean(axis=0))
+
     # On a flat skin no side is outward: all point to +z, or the axis nearest to it.
-    flat = np.abs(outward) < 1e-6 * np.abs(places).max()
-    outward[flat] = normals[flat] @ [1e-6, 1e-3, 1.0]
-    return normals * np.where(outward < 0, -1.0, 1.0)[:, None]
+    is_flat = np.abs(outward) < 1e-6 * np.abs(places).max()
+    outward[is_flat] = normals[is_flat] @ [1e-6, 1e-3, 1.0]
+    sign = np.where(outward < 0, -1.0, 1.0)
+    return normals * sign[:, None]
 
 
 def doubled(places: Doubles) -> Mask:
     """True for each point that stands where one before it stands, bool (n,)."""
-    first = np.unique(places, axis=0, return_index=True)[1]
-    found = np.ones(len(places), dtype=np.bool_)
-    found[first] = False
-    return found
+    first_of_place = np.unique(places, axis=0, return_index=True)[1]
+    is_double = np.ones(len(places), dtype=np.bool_)
+    is_double[first_of_place] = False
+    return is_double
 
 
 EXAMPLE = "example:"
@@ -135,18 +141,23 @@ def load_points(layout: str) -> Points:
         places, normals = EXAMPLES[name]()
         order = np.arange(len(places))
         return Points(name, places, normals, order, len(places), layout=layout)
+
     suffix = Path(layout).suffix.lower()
     if suffix not in SUFFIXES:
         raise SourceError(
             f"{shown(layout, 200)}: suffix {shown(suffix)} is not known; allowed are "
             f"{', '.join(SUFFIXES)}, and {EXAMPLE}{{{', '.join(EXAMPLES)}}}"
         )
-    size = Path(layout).stat().st_size if Path(layout).is_file() else 0
-    if size > MAX_BYTES:
+    path = Path(layout)
+    if path.is_file() and path.stat().st_size > MAX_BYTES:
+        size = path.stat().st_size
         raise SourceError(f"{layout}: {size} bytes; at most {MAX_BYTES} are allowed")
+
     with reading(layout) as file:
         lines = [*Lines(file, layout)]
-    return _read_csv(lines, layout) if suffix == ".csv" else _read_icub(lines, layout)
+    if suffix == ".csv":
+        return _read_csv(lines, layout)
+    return _read_icub(lines, layout)
 
 
 def _read_csv(lines: Sequence[str], name: str) -> Points:
@@ -166,8 +177,11 @@ def _read_csv(lines: Sequence[str], name: str) -> Points:
                 f"{where}: header {shown(','.join(cells), 80)}; expected {next(iter(HEADERS_M))} "
                 f"(or in cm, m), or with {NORMAL[1:]} after it"
             )
-    if header is None or not rows:
-        raise SourceError(f"{name}: holds no {'taxel' if header else 'header'}")
+    if header is None:
+        raise SourceError(f"{name}: holds no header")
+    if not rows:
+        raise SourceError(f"{name}: holds no taxel")
+
     values = np.array(rows)
     places = values[:, :3] * HEADERS_M[",".join(header[:3])]
     twice = doubled(places)
@@ -185,7 +199,7 @@ def _row(cells: list[str], n: int, where: str) -> list[float]:
 
 def _read_icub(lines: Sequence[str], name: str) -> Points:
     values = []
-    used = None
+    is_used = None
     in_calibration = False
     for number, line in enumerate(lines, start=1):
         where = f"{name}, line {number}"
@@ -203,21 +217,29 @@ def _read_icub(lines: Sequence[str], name: str) -> Points:
                     f"{', '.join(_ICUB_KEYS)} or {_CALIBRATION}"
                 )
             if key == "taxel2Repr":
-                used = _representatives(value, where)
+                is_used = _representatives(value, where)
     if not values:
         raise SourceError(f"{name}: holds no taxel after {_CALIBRATION}")
+
     notes = []
-    if used is not None and len(used) != len(values):
+    if is_used is not None and len(is_used) != len(values):
         # Files of older robots have another number.
-        notes.append(f"taxel2Repr has {len(used)} numbers for {len(values)} lines and is not used")
-        used = None
+        notes.append(
+            f"taxel2Repr has {len(is_used)} numbers for {len(values)} lines and is not used"
+        )
+        is_used = None
+
     rows = np.array(values)
-    placed = rows[:, :3].any(axis=1) & (True if used is None else used)
-    slots = np.flatnonzero(placed)
+    has_place = rows[:, :3].any(axis=1)
+    if is_used is not None:
+        has_place &= is_used
+    slots = np.flatnonzero(has_place)
     if not slots.size:
         raise SourceError(f"{name}: no reading has a place, all are zeros or unused")
+
     places = rows[slots, :3]
-    if n_twice := np.count_nonzero(doubled(places)):
+    n_twice = np.count_nonzero(doubled(places))
+    if n_twice:
         notes.append(f"{n_twice} of {slots.size} taxels stand where another does")
     return _points(name, places, rows[slots, 3:], slots, len(rows), tuple(notes))
 
@@ -225,11 +247,12 @@ def _read_icub(lines: Sequence[str], name: str) -> Points:
 def _representatives(text: str, where: str) -> Mask:
     """True for each reading of a taxel: negative numbers are of readings that are none."""
     tokens = text.strip().removeprefix("(").removesuffix(")").split()
-    found = []
+    is_taxel = []
     for token in tokens:
-        whole = parse_whole(token.removeprefix("-"), f"{where}, taxel2Repr", 0, len(tokens))
-        found.append(not token.startswith("-") or whole == 0)
-    return np.array(found, dtype=np.bool_)
+        digits = token.removeprefix("-")
+        number = parse_whole(digits, f"{where}, taxel2Repr", 0, len(tokens))
+        is_taxel.append(not token.startswith("-") or number == 0)
+    return np.array(is_taxel, dtype=np.bool_)
 
 
 def _points(
@@ -243,22 +266,32 @@ def _points(
     """The layout, with normals of length 1; those that are not stated, or 0, are estimated."""
     n = len(places)
     check_places(name, places)  # before normals are estimated of them
-    lengths = np.linalg.norm(normals, axis=1) if normals.size else np.zeros(n)
-    unknown = lengths < _LEAST_NORMAL
-    if normals.size and (unknown & (lengths > 0)).any():
-        k = int(np.argmax(unknown & (lengths > 0)))
-        found = f"the normal of taxel {k} (from 0) has length {lengths[k]:.3g}"
-        raise SourceError(f"{name}: {found}; expected 1")
-    unit = estimated_normals(places) if unknown.any() else np.zeros_like(places)
-    known = ~unknown
-    if known.any():
-        unit[known] = normals[known] / lengths[known, None]
-    if unknown.any():
-        of_some = "" if unknown.all() else f" of {np.count_nonzero(unknown)} taxels"
+    lengths = np.zeros(n)
+    if normals.size:
+        lengths = np.linalg.norm(normals, axis=1)
+    is_unknown = lengths < _LEAST_NORMAL
+    is_short = is_unknown & (lengths > 0)
+    if is_short.any():
+        k = int(np.argmax(is_short))
+        normal = f"the normal of taxel {k} (from 0) has length {lengths[k]:.3g}"
+        raise SourceError(f"{name}: {normal}; expected 1")
+
+    unit = np.zeros_like(places)
+    if is_unknown.any():
+        unit = estimated_normals(places)
+        of_some = ""
+        if not is_unknown.all():
+            of_some = f" of {np.count_nonzero(is_unknown)} taxels"
         notes = (*notes, f"the normals{of_some} are estimated from the places of neighbours")
+    is_stated = ~is_unknown
+    if is_stated.any():
+        unit[is_stated] = normals[is_stated] / lengths[is_stated, None]
+
     if n > 1:
-        nearest = float(np.median(cKDTree(places).query(places, 2)[0][:, 1]))
+        distances, _ = cKDTree(places).query(places, 2)
+        nearest = float(np.median(distances[:, 1]))
         if nearest and not USUAL_M[0] <= nearest <= USUAL_M[1]:
             notes = (*notes, f"taxels are {1000 * nearest:.3g} mm apart: is the unit right?")
+
     layout = str(Path(name).resolve())
     return Points(Path(name).stem, places, unit, slots, n_slots, notes, layout)

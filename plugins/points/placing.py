@@ -74,8 +74,8 @@ class Placement:
         order = np.argsort(self.cells)
         rows = np.concatenate([self.points.places, self.points.normals], axis=1)[order]
         points = np.ascontiguousarray(rows, dtype=np.float32)
-        found = None if mask.all() else mask
-        return Skin(*self.shape, f_max, unit, self.pitch_m, found, points, self.point_rows(mask))
+        exists = None if mask.all() else mask
+        return Skin(*self.shape, f_max, unit, self.pitch_m, exists, points, self.point_rows(mask))
 
     def point_rows(self, exists: Mask) -> npt.NDArray[np.int32]:
         """Row of each taxel of a mask of the grid among those of the file, int32 (n_taxels,)."""
@@ -99,9 +99,11 @@ class Placement:
         """Raise SourceError unless a frame of so many readings has one for each taxel."""
         points = self.points
         if n_readings not in (points.n, points.n_slots):
-            known = f"{points.n}" + (f" or {points.n_slots}" * (points.n_slots != points.n))
+            allowed = f"{points.n}"
+            if points.n_slots != points.n:
+                allowed += f" or {points.n_slots}"
             raise SourceError(
-                f"{points.name}: a frame has {n_readings} readings; expected {known}, one a taxel"
+                f"{points.name}: a frame has {n_readings} readings; expected {allowed}, one a taxel"
             )
 
     def on_grid(self, values: npt.NDArray[Any], unused: float = 0.0) -> npt.NDArray[Any]:
@@ -141,30 +143,43 @@ def place(points: Points) -> Placement:
     or columns, or 2**20 cells.
     """
     # Several taxels may stand at one place; of these the first is a neighbour of others.
-    _, first, of_place = np.unique(points.places, axis=0, return_index=True, return_inverse=True)
-    places = points.places[first]
-    normals = points.normals[first]
+    _, first_taxels, place_of_taxel = np.unique(
+        points.places, axis=0, return_index=True, return_inverse=True
+    )
+    places = points.places[first_taxels]
+    normals = points.normals[first_taxels]
     edges = neighbours(places, normals)
+
+    # A grid for each part of the skin.
     grids = []
     for part in parts(edges, len(places)):
         number = np.full(len(places), -1)
         number[part] = np.arange(len(part))
         inside = edges.only(number[edges.a] >= 0)
-        own = Edges(number[inside.a], number[inside.b], inside.length)
-        wanted = _lattice_of_part(places[part], normals[part], own)
-        taxels = np.flatnonzero(number[of_place] >= 0)
-        grids.append((taxels, _assigned(wanted[number[of_place[taxels]]])))
+        edges_of_part = Edges(number[inside.a], number[inside.b], inside.length)
+        lattice = _lattice_of_part(places[part], normals[part], edges_of_part)
+        taxels = np.flatnonzero(number[place_of_taxel] >= 0)
+        lattice_of_taxels = lattice[number[place_of_taxel[taxels]]]
+        grids.append((taxels, _assigned(lattice_of_taxels)))
+
     rows, cols, shape = _packed(grids, points.n)
     if max(shape) > MAX_SIDE or shape[0] * shape[1] > MAX_ELEMENTS:
         raise SourceError(
             f"{points.name}: its virtual grid would have {shape[0]} x {shape[1]} cells; at most "
             f"{MAX_SIDE} a side and {MAX_ELEMENTS} are allowed"
         )
-    nearest = np.full(len(places), np.inf)
+    cells = rows * shape[1] + cols
+    return Placement(points, shape, cells, _pitch_m(edges, len(places)), len(grids))
+
+
+def _pitch_m(edges: Edges, n: int) -> float:
+    """Median distance of the nearest neighbours, metres; 1 if no point has a neighbour."""
+    nearest = np.full(n, np.inf)
     np.minimum.at(nearest, edges.a, edges.length)
-    found = nearest[np.isfinite(nearest)]
-    pitch_m = float(np.median(found)) if found.size else 1.0
-    return Placement(points, shape, rows * shape[1] + cols, pitch_m, len(grids))
+    distances = nearest[np.isfinite(nearest)]
+    if not distances.size:
+        return 1.0
+    return float(np.median(distances))
 
 
 def _lattice_of_part(places: Doubles, normals: Doubles, edges: Edges) -> Doubles:
@@ -172,34 +187,43 @@ def _lattice_of_part(places: Doubles, normals: Doubles, edges: Edges) -> Doubles
     n = len(places)
     if n == 1:
         return np.zeros((1, 2))
+
     plane = flattened(places, normals, edges)
     # Where a band was cut open, its ends are neighbours no more.
     apart = np.linalg.norm(plane[edges.b] - plane[edges.a], axis=1)
     edges = edges.only(apart < 2 * edges.length)
-    spacing = _spacing(plane, edges)
     order, angle = _orientation(plane, edges)
+    if not order:
+        cells = _squarest(plane) / _cell_size(plane)
+        return _upright(cells, places, SQUARE)
+
+    # Steps to the neighbours in the axes of the lattice, in its spacing.
+    spacing = _spacing(plane, edges)
+    spacing_of_edge = 0.5 * (spacing[edges.a] + spacing[edges.b])
+    angle_of_edge = angle[edges.a] + 0.5 * _wrapped(angle[edges.b] - angle[edges.a], order)
     steps = plane[edges.b] - plane[edges.a]
-    if order:
-        axes = _AXES[order]
-        mean = angle[edges.a] + 0.5 * _wrapped(angle[edges.b] - angle[edges.a], order)
-        steps = _turned(steps, -mean) / (0.5 * (spacing[edges.a] + spacing[edges.b]))[:, None]
-        lattice = _joined(steps @ np.linalg.inv(axes).T, edges, n)
-    else:
-        lattice = _squarest(plane) / _cell_size(plane)
-        order = SQUARE
+    steps = _turned(steps, -angle_of_edge) / spacing_of_edge[:, None]
+    steps = steps @ np.linalg.inv(_AXES[order]).T
+    lattice = _joined(steps, edges, n)
     return _upright(lattice, places, order)
 
 
 def _squarest(plane: Doubles) -> Doubles:
     """Points turned such that the rectangle around them is the smallest, (n, 2)."""
+
+    def area(turned: Doubles) -> float:
+        return float(np.prod(np.ptp(turned, axis=0)))
+
     turns = [_turned(plane, np.full(len(plane), angle)) for angle in np.radians(range(90))]
-    return min(turns, key=lambda turned: float(np.prod(np.ptp(turned, axis=0))))
+    return min(turns, key=area)
 
 
 def _cell_size(plane: Doubles) -> float:
     """Side of the cells for points without a lattice: a little less than their distance."""
-    nearest = cKDTree(plane).query(plane, k=min(SQUARE + 1, len(plane)))[0][:, 1:]
-    return math.sqrt(FILLED) * max(float(nearest.mean()), 1e-9)
+    distances, _ = cKDTree(plane).query(plane, k=min(SQUARE + 1, len(plane)))
+    # The nearest point is the point itself.
+    to_others = distances[:, 1:]
+    return math.sqrt(FILLED) * max(float(to_others.mean()), 1e-9)
 
 
 def _spacing(plane: Doubles, edges: Edges) -> Doubles:
@@ -211,9 +235,11 @@ def _spacing(plane: Doubles, edges: Edges) -> Doubles:
     typical = np.median(nearest[np.isfinite(nearest)])
     nearest[~np.isfinite(nearest)] = typical
     np.maximum(nearest, 0.5 * typical, out=nearest)
+
     count = np.bincount(edges.a, minlength=n) + 1
     for _ in range(N_SMOOTHED):
-        nearest = (nearest + np.bincount(edges.a, nearest[edges.b], minlength=n)) / count
+        of_neighbours = np.bincount(edges.a, nearest[edges.b], minlength=n)
+        nearest = (nearest + of_neighbours) / count
     return nearest
 
 
@@ -222,29 +248,38 @@ def _orientation(plane: Doubles, edges: Edges) -> tuple[int, Doubles]:
     n = len(plane)
     step = plane[edges.b] - plane[edges.a]
     length = np.linalg.norm(step, axis=1)
+
+    # The nearest neighbours alone have the directions of the lattice.
     spacing = _spacing(plane, edges)[edges.a]
     near = length < 1.25 * spacing
     direction = np.arctan2(step[near, 1], step[near, 0])
     a = edges.a[near]
     b = edges.b[near]
-    best = 0, np.zeros(n), ORDERED
     count = np.bincount(a, minlength=n)
-    pairs = (count * (count - 1)).sum()
     if (count > 1).mean() < 0.5:
         return 0, np.zeros(n)
+
+    n_pairs = (count * (count - 1)).sum()
+    best_order = 0
+    best_angle = np.zeros(n)
+    best_cosine = ORDERED
     for order in (SQUARE, HEXAGONAL):
         field = np.zeros(n, dtype=np.complex128)
         np.add.at(field, a, np.exp(1j * order * direction))
         # The mean of cos(order x angle between two neighbours of a point): 0 for any directions.
-        found = float((np.abs(field) ** 2 - count).sum() / pairs)
+        cosine = float((np.abs(field) ** 2 - count).sum() / n_pairs)
         for _ in range(N_SMOOTHED):
-            mean = field.copy()
-            np.add.at(mean, a, field[b])
-            field = mean / (np.maximum(count, 1) + 1)
-        if found > best[2]:
-            best = order, np.angle(field) / order, found
-    order, angle, _ = best
-    return order, _unwound(angle, edges, order) if order else angle
+            total = field.copy()
+            np.add.at(total, a, field[b])
+            field = total / (np.maximum(count, 1) + 1)
+        if cosine > best_cosine:
+            best_order = order
+            best_angle = np.angle(field) / order
+            best_cosine = cosine
+
+    if not best_order:
+        return 0, best_angle
+    return best_order, _unwound(best_angle, edges, best_order)
 
 
 def _unwound(angle: Doubles, edges: Edges, order: int) -> Doubles:
@@ -252,12 +287,13 @@ def _unwound(angle: Doubles, edges: Edges, order: int) -> Doubles:
     from scipy.sparse.csgraph import breadth_first_order
 
     n = len(angle)
-    found = angle.copy()
-    way, before = breadth_first_order(edges.matrix(n), 0, directed=False)
-    for point in way[1:]:
-        last = before[point]
-        found[point] = found[last] + _wrapped(angle[point] - found[last], order)
-    return found
+    unwound = angle.copy()
+    visits, predecessors = breadth_first_order(edges.matrix(n), 0, directed=False)
+    for point in visits[1:]:
+        before_it = predecessors[point]
+        turn = _wrapped(angle[point] - unwound[before_it], order)
+        unwound[point] = unwound[before_it] + turn
+    return unwound
 
 
 def _wrapped(angle: Doubles, order: int) -> Doubles:
@@ -277,11 +313,13 @@ def _joined(steps: Doubles, edges: Edges, n: int) -> Doubles:
     """Coordinates on a lattice, (n, 2), by steps in its axes, the whole ones rounded."""
     lattice = np.zeros((n, 2))
     for _ in range(N_ROUNDED):
-        whole = np.rint(steps)
-        off = np.abs(steps - whole).max(axis=1)
-        is_whole = (off < WHOLE) & (np.abs(whole).max(axis=1) == 1)
+        rounded_steps = np.rint(steps)
+        off = np.abs(steps - rounded_steps).max(axis=1)
+        is_to_next = np.abs(rounded_steps).max(axis=1) == 1
+        is_whole = (off < WHOLE) & is_to_next
         weights = np.where(is_whole, 1.0, LOOSE)
-        lattice = Joined(edges, n, weights)(np.where(is_whole[:, None], whole, steps))
+        wanted_steps = np.where(is_whole[:, None], rounded_steps, steps)
+        lattice = Joined(edges, n, weights)(wanted_steps)
         steps = lattice[edges.b] - lattice[edges.a]
     return lattice
 
@@ -290,13 +328,21 @@ def _upright(lattice: Doubles, places: Doubles, order: int) -> Doubles:
     """Rows and columns, (n, 2), row 0 at the upper end (+z, on a level skin +y); hexagons in
     rows.
     """
-    up = places[:, 2] if np.ptp(places[:, 2]) > 0.1 * np.ptp(places, axis=0).max() else places[:, 1]
-    flat = lattice @ _AXES[order].T
+    sizes = np.ptp(places, axis=0)
+    is_level = sizes[2] <= 0.1 * sizes.max()
+    up = places[:, 1] if is_level else places[:, 2]
+
+    # Turned by whole steps of the lattice, such that y points up.
+    axes = _AXES[order]
+    flat = lattice @ axes.T
     centred = flat - flat.mean(axis=0)
-    slope = np.linalg.lstsq(centred, up - up.mean(), rcond=None)[0]
-    turn = np.rint(order * np.arctan2(slope[0], slope[1]) / (2 * np.pi))
-    angle = np.full(len(flat), 2 * np.pi * turn / order)
-    x, y = (_turned(flat, angle) @ np.linalg.inv(_AXES[order]).T).T
+    (slope_x, slope_y), _, _, _ = np.linalg.lstsq(centred, up - up.mean(), rcond=None)
+    n_steps = np.rint(order * np.arctan2(slope_x, slope_y) / (2 * np.pi))
+    angle = np.full(len(flat), 2 * np.pi * n_steps / order)
+    turned = _turned(flat, angle)
+    x, y = (turned @ np.linalg.inv(axes).T).T
+
+    # Every second row of hexagons stands half a cell aside.
     y = y - _phase(y)
     if order == HEXAGONAL:
         x = x + 0.5 * y - 0.5 * (np.rint(y) % 2)
@@ -312,11 +358,14 @@ def _assigned(wanted: Doubles) -> Indices:
     """A cell for each point, (n, 2), no two the same, near the wanted ones."""
     n = len(wanted)
     rounded = np.rint(wanted).astype(np.intp)
+    # Where points share a cell, all are matched with cells around them.
     if len(np.unique(rounded, axis=0)) < n:
         window = WINDOW
-        while (found := _matched(wanted, rounded, window)) is None:
+        matched = _matched(wanted, rounded, window)
+        while matched is None:
             window *= 2
-        rounded = found
+            matched = _matched(wanted, rounded, window)
+        rounded = matched
     rounded -= rounded.min(axis=0)
     return rounded
 
@@ -324,36 +373,53 @@ def _assigned(wanted: Doubles) -> Indices:
 def _matched(wanted: Doubles, rounded: Indices, window: int) -> Indices | None:
     """The assignment of least squares within a window; None if there is none."""
     n = len(wanted)
-    around = np.arange(-window, window + 1)
-    cells = rounded[:, None, :] + np.stack(np.meshgrid(around, around), -1).reshape(1, -1, 2)
+    offsets = np.arange(-window, window + 1)
+    square = np.stack(np.meshgrid(offsets, offsets), -1).reshape(1, -1, 2)
+    cells = rounded[:, None, :] + square
+    # The matching takes a cost of 0 for an edge that does not exist.
     cost = ((cells - wanted[:, None, :]) ** 2).sum(axis=-1) + 1e-6
+
+    # Cells are numbered in the rectangle around all windows.
     low = cells.min(axis=(0, 1))
     width = int(np.ptp(cells[..., 1])) + 1
     flat = (cells[..., 0] - low[0]) * width + cells[..., 1] - low[1]
-    used, number = np.unique(flat, return_inverse=True)
+    cells_in_reach, cell_numbers = np.unique(flat, return_inverse=True)
     k = flat.shape[1]
-    graph = csr_matrix((cost.ravel(), number.ravel(), np.arange(0, n * k + 1, k)), (n, len(used)))
+    row_begins = np.arange(0, n * k + 1, k)
+    graph = csr_matrix((cost.ravel(), cell_numbers.ravel(), row_begins), (n, len(cells_in_reach)))
     try:
-        _, chosen = min_weight_full_bipartite_matching(graph)
+        _, chosen_cells = min_weight_full_bipartite_matching(graph)
     except ValueError:  # no full matching
         return None
-    row, col = np.divmod(used[chosen], width)
-    return np.stack([row + low[0], col + low[1]], axis=1)
+    rows, cols = np.divmod(cells_in_reach[chosen_cells], width)
+    return np.stack([rows + low[0], cols + low[1]], axis=1)
 
 
 def _packed(
     grids: list[tuple[Indices, Indices]], n: int
 ) -> tuple[Indices, Indices, tuple[int, int]]:
     """Rows and columns of all points with the parts side by side, and the size of the grid."""
-    rows, cols = np.zeros((2, n), dtype=np.intp)
+    rows = np.zeros(n, dtype=np.intp)
+    cols = np.zeros(n, dtype=np.intp)
+    # The grid is about square, and as wide as the widest part at least.
     area = sum(int(np.prod(cells.max(axis=0) + 2)) for _, cells in grids)
-    most = max(math.isqrt(area), *(int(cells[:, 1].max()) + 1 for _, cells in grids))
-    top = left = height = 0
+    widest = max(int(cells[:, 1].max()) + 1 for _, cells in grids)
+    width_max = max(math.isqrt(area), widest)
+
+    # In shelves, the highest parts first, a free cell between neighbours.
+    top = 0
+    left_edge = 0
+    height = 0
     for part, cells in sorted(grids, key=lambda grid: -int(grid[1][:, 0].max())):
         n_rows, n_cols = (cells.max(axis=0) + 1).tolist()
-        if left and left + n_cols > most:
-            top, left, height = top + height + 1, 0, 0
+        if left_edge and left_edge + n_cols > width_max:
+            top += height + 1
+            left_edge = 0
+            height = 0
+
         rows[part] = cells[:, 0] + top
-        cols[part] = cells[:, 1] + left
-        left, height = left + n_cols + 1, max(height, n_rows)
-    return rows, cols, (int(rows.max()) + 1, int(cols.max()) + 1)
+        cols[part] = cells[:, 1] + left_edge
+        left_edge += n_cols + 1
+        height = max(height, n_rows)
+    shape = (int(rows.max()) + 1, int(cols.max()) + 1)
+    return rows, cols, shape

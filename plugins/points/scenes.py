@@ -64,9 +64,11 @@ class Scene:
 
     def about(self) -> str:
         """Body, push and course in a line."""
-        bead = f", {1000 * self.length_m:g} mm long" if self.length_m else ""
+        size = f"{1000 * self.radius_m:g} mm radius"
+        if self.length_m:
+            size += f", {1000 * self.length_m:g} mm long"
         course = "presses at place by place" if self.presses else "moves over the skin"
-        return f"a body of {1000 * self.radius_m:g} mm radius{bead}, {self.push_n:g} N, {course}"
+        return f"a body of {size}, {self.push_n:g} N, {course}"
 
 
 SCENES: dict[str, Scene] = {
@@ -122,27 +124,32 @@ class PointScene(Source):
             candidates: Indices | None = None
             for step in range(STEPS):
                 t_s = (frame * STEPS + step) * DT_S - start_s
+                # The next press begins at another place.
                 if scene.presses and t_s >= HELD_S + LIFTED_S:
-                    course, start_s = next(courses), start_s + t_s
+                    course = next(courses)
+                    start_s += t_s
                     q = np.array([DROP_M])
                     v = np.zeros(1)
                     t_s = 0.0
                     candidates = None
-                here = 0 if scene.presses else round(max(0.0, t_s - REST_S) / DT_S)
+
+                k = 0
+                if not scene.presses:
+                    k = round(max(0.0, t_s - REST_S) / DT_S) % len(course.places)
                 if candidates is None:  # within a frame, a body moves by less than a millimetre
-                    candidates = self._candidates(course, here % len(course.places))
-                bed, touched = self._bed(course, here % len(course.places), q, candidates)
+                    candidates = self._candidates(course, k)
+                bed, touched = self._bed(course, k, q, candidates)
                 total[touched] += bed.forces(q, v)
+                # A press ends with a body that is lifted at a constant speed.
                 if scene.presses and t_s >= HELD_S:
                     v = np.array([SPEED_M_S])
                     q = q + DT_S * v
                 else:
                     q, v = body.step(bed, q, v, DT_S)
+
+            stamp_ns = round(frame * STEPS * DT_S * 1e9)
             forces = np.minimum(total / STEPS, self.skin.f_max)
-            yield (
-                round(frame * STEPS * DT_S * 1e9),
-                self._placement.on_grid(forces.astype(np.float32)),
-            )
+            yield stamp_ns, self._placement.on_grid(forces.astype(np.float32))
 
     def _candidates(self, course: _Course, k: int) -> Indices:
         """Taxels that a body at place k may touch."""
@@ -158,6 +165,8 @@ class PointScene(Source):
         normal = course.normals[k]
         middle = course.places[k] + (scene.radius_m + q[0]) * normal
         off = middle - self._middles[candidates]
+
+        # From the nearest point of the axis of a body that has a length.
         if scene.length_m:
             half = 0.5 * scene.length_m
             along = np.clip(-off @ course.across[k], -half, half)
@@ -166,9 +175,12 @@ class PointScene(Source):
         faces = np.einsum("ij,ij->i", off, normals) > 0
         touching = scene.radius_m + self._radius
         near = np.flatnonzero((distance < touching + _REACH_M) & faces)
+
+        # Gap and its derivative by the height of the body, linear about this height.
         jacobian = (off[near] @ normal / distance[near])[:, None]
         gap = distance[near] - touching - jacobian[:, 0] * q[0]
-        stiffness, damping = (np.full(near.size, of) for of in (SKIN.stiffness, SKIN.damping))
+        stiffness = np.full(near.size, SKIN.stiffness)
+        damping = np.full(near.size, SKIN.damping)
         return Bed(stiffness, damping, gap, jacobian), candidates[near]
 
     def _courses(self) -> Iterator[_Course]:
@@ -177,45 +189,73 @@ class PointScene(Source):
         points = self._placement.points
         edges = neighbours(points.places, points.normals)
         graph = edges.matrix(points.n)
-        label = connected_components(graph, directed=False)[1]
+        _, label = connected_components(graph, directed=False)
         largest = np.flatnonzero(label == np.argmax(np.bincount(label)))
         if self._scene.presses:
             while True:
                 yield self._course(points.places[rng.choice(points.n)][None])
+
+        # Shortest ways to places drawn at random, one after another.
         length = SPEED_M_S * N_FRAMES * STEPS * DT_S
-        way = [int(rng.choice(largest))]
-        done = 0.0
-        while done < length and largest.size > 1:
-            before = dijkstra(graph, directed=False, indices=way[-1], return_predecessors=True)
-            at = goal = int(rng.choice(largest))
-            back = []
-            while at != way[-1]:
-                back.append(at)
-                at = int(before[1][at])
-            way += back[::-1]
-            done += float(before[0][goal])
-        yield self._course(points.places[way])
+        corners = [int(rng.choice(largest))]
+        walked = 0.0
+        while walked < length and largest.size > 1:
+            distances, predecessors = dijkstra(
+                graph, directed=False, indices=corners[-1], return_predecessors=True
+            )
+            goal = int(rng.choice(largest))
+            way_back = []
+            point = goal
+            while point != corners[-1]:
+                way_back.append(point)
+                point = int(predecessors[point])
+            corners += way_back[::-1]
+            walked += float(distances[goal])
+        yield self._course(points.places[corners])
 
     def _course(self, corners: Doubles) -> _Course:
         """Places on the skin along a way, `SPEED_M_S` times `DT_S` apart, smoothed."""
         points = self._placement.points
         step_m = SPEED_M_S * DT_S
-        lengths = np.linalg.norm(np.diff(corners, axis=0), axis=1)
-        along = np.concatenate([[0.0], np.cumsum(lengths)])
-        at = np.arange(0.0, along[-1] + step_m / 2, step_m)
-        places = np.stack([np.interp(at, along, axis) for axis in corners.T], axis=1)
-        near = cKDTree(points.places).query(places, k=min(_NEAR, points.n))[1].reshape(len(at), -1)
-        normals = points.normals[near].mean(axis=1)
-        middle = points.places[near].mean(axis=1)
+        places = _equidistant(corners, step_m)
+        n = len(places)
+
+        # The skin at a place is the mean of the taxels around it.
+        _, nearest = cKDTree(points.places).query(places, k=min(_NEAR, points.n))
+        nearest = nearest.reshape(n, -1)
+        normals = points.normals[nearest].mean(axis=1)
+        middles = points.places[nearest].mean(axis=1)
+
         width = SMOOTHED * self._placement.pitch_m / step_m
-        places, normals, middle = (
-            gaussian_filter1d(each, width, axis=0, mode="nearest")
-            for each in (places, normals, middle)
-        )
-        normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-9)
+        places = gaussian_filter1d(places, width, axis=0, mode="nearest")
+        normals = gaussian_filter1d(normals, width, axis=0, mode="nearest")
+        middles = gaussian_filter1d(middles, width, axis=0, mode="nearest")
+        lengths = np.linalg.norm(normals, axis=1, keepdims=True)
+        normals /= np.maximum(lengths, 1e-9)
+
         # Smoothing cuts corners: back to the mean plane of the taxels there.
-        places += normals * np.einsum("ij,ij->i", middle - places, normals)[:, None]
-        ahead = np.gradient(places, axis=0) if len(at) > 1 else np.array([[1.0, 0.3, 0.2]])
+        heights = np.einsum("ij,ij->i", middles - places, normals)
+        places += normals * heights[:, None]
+
+        # Of a single place any direction will do.
+        ahead = np.array([[1.0, 0.3, 0.2]])
+        if n > 1:
+            ahead = np.gradient(places, axis=0)
         across = np.cross(normals, ahead)
-        across /= np.maximum(np.linalg.norm(across, axis=1, keepdims=True), 1e-12)
+        lengths = np.linalg.norm(across, axis=1, keepdims=True)
+        across /= np.maximum(lengths, 1e-12)
         return _Course(places, normals, across)
+
+
+def _equidistant(corners: Doubles, step_m: float) -> Doubles:
+    """Places on the straight lines between corners, a step apart, float64 (k, 3)."""
+    lengths = np.linalg.norm(np.diff(corners, axis=0), axis=1)
+    along = np.concatenate([[0.0], np.cumsum(lengths)])
+    stops = np.arange(0.0, along[-1] + step_m / 2, step_m)
+    x, y, z = corners.T
+    coordinates = [
+        np.interp(stops, along, x),
+        np.interp(stops, along, y),
+        np.interp(stops, along, z),
+    ]
+    return np.stack(coordinates, axis=1)

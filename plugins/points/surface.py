@@ -51,9 +51,9 @@ class Edges:
     b: Indices
     length: Doubles
 
-    def only(self, kept: Mask) -> Edges:
+    def only(self, choice: Mask) -> Edges:
         """Those of a choice, bool (n_edges,)."""
-        return Edges(self.a[kept], self.b[kept], self.length[kept])
+        return Edges(self.a[choice], self.b[choice], self.length[choice])
 
     def matrix(self, n: int) -> csr_matrix:
         """Lengths as a sparse matrix, (n, n)."""
@@ -65,23 +65,33 @@ def neighbours(places: Doubles, normals: Doubles) -> Edges:
     n = len(places)
     if n == 1:
         return _none()
-    found, near = cKDTree(places).query(places, k=min(_SEARCHED + 1, n))
-    found, near = found[:, 1:], near[:, 1:]
+    distance, near = cKDTree(places).query(places, k=min(_SEARCHED + 1, n))
+    # The nearest point is the point itself.
+    distance = distance[:, 1:]
+    near = near[:, 1:]
     cosine = np.einsum("ij,ikj->ik", normals, normals[near])
-    one_side = cosine > LEAST_COSINE
-    nearest = np.where(one_side, found, np.inf).min(axis=1)
-    if not np.isfinite(nearest).any():
+    is_same_side = cosine > LEAST_COSINE
+    nearest = np.where(is_same_side, distance, np.inf).min(axis=1)
+    has_near = np.isfinite(nearest)
+    if not has_near.any():
         return _none()
+
     # Neighbours of a point that lies apart are farther than those of the others.
-    typical = float(np.median(nearest[np.isfinite(nearest)]))
-    limit = LONGEST * np.maximum(typical, np.where(np.isfinite(nearest), nearest, 0.0))
-    one_side &= found < limit[:, None]
-    kept = one_side & (np.cumsum(one_side, axis=1) <= N_NEIGHBOURS)
-    a, k = np.nonzero(kept)
+    typical = float(np.median(nearest[has_near]))
+    nearest[~has_near] = 0.0
+    limit = LONGEST * np.maximum(typical, nearest)
+
+    # The first few of those that are near enough, which are sorted by their distance.
+    is_near = is_same_side & (distance < limit[:, None])
+    is_neighbour = is_near & (np.cumsum(is_near, axis=1) <= N_NEIGHBOURS)
+
+    # Each pair once in each direction.
+    a, k = np.nonzero(is_neighbour)
     pairs = np.stack([a, near[a, k]], axis=1)
-    pairs = np.unique(np.concatenate([pairs, pairs[:, ::-1]]), axis=0)
-    length = np.linalg.norm(places[pairs[:, 0]] - places[pairs[:, 1]], axis=1)
-    return Edges(pairs[:, 0], pairs[:, 1], length)
+    both_ways = np.concatenate([pairs, pairs[:, ::-1]])
+    a, b = np.unique(both_ways, axis=0).T
+    length = np.linalg.norm(places[a] - places[b], axis=1)
+    return Edges(a, b, length)
 
 
 def _none() -> Edges:
@@ -92,7 +102,8 @@ def _none() -> Edges:
 def parts(edges: Edges, n: int) -> list[Indices]:
     """Points of each connected part, the largest part first."""
     n_parts, label = connected_components(edges.matrix(n), directed=False)
-    order = np.argsort(-np.bincount(label, minlength=n_parts), kind="stable")
+    sizes = np.bincount(label, minlength=n_parts)
+    order = np.argsort(-sizes, kind="stable")
     return [np.flatnonzero(label == k) for k in order]
 
 
@@ -104,19 +115,28 @@ def flattened(places: Doubles, normals: Doubles, edges: Edges) -> Doubles:
     n = len(places)
     if n < 4:
         steps = np.linalg.norm(np.diff(places, axis=0), axis=1)
-        return np.stack([np.concatenate([[0.0], np.cumsum(steps)]), np.zeros(n)], axis=1)
+        along = np.concatenate([[0.0], np.cumsum(steps)])
+        return np.stack([along, np.zeros(n)], axis=1)
+
     frames = _tangents(places, normals, edges)
     centred = places - places.mean(axis=0)
     _, size, axes = np.linalg.svd(centred, full_matrices=False)
-    if np.abs(centred @ axes[2]).max() <= FLAT * np.median(edges.length):
+
+    # A part that is flat already is laid down as it is.
+    height = np.abs(centred @ axes[2]).max()
+    if height <= FLAT * np.median(edges.length):
         plane: Doubles = centred @ axes[:2].T
     else:
         edges = edges.only(~_cut(centred, normals, edges))
         plane = _scaled(edges, n)
+
+    # Mirrored if it is seen from inside.
     turned = _moments(plane, places, frames, edges)
-    if (np.linalg.det(turned) < 0).mean() > 0.5:  # it is seen from inside
+    if (np.linalg.det(turned) < 0).mean() > 0.5:
         plane[:, 0] *= -1
-    if size[2] > 0 and np.abs(centred @ axes[2]).max() > FLAT * np.median(edges.length):
+
+    # A part that is not flat is bent as little as possible.
+    if size[2] > 0 and height > FLAT * np.median(edges.length):
         plane = _rigid(plane, places, frames, edges)
     return plane
 
@@ -132,64 +152,88 @@ def _tangents(places: Doubles, normals: Doubles, edges: Edges) -> Doubles:
     """
     n = len(places)
     step = places[edges.b] - places[edges.a]
-    moments = summed(edges.a, (step[:, :, None] * step[:, None, :]).reshape(-1, 9), n)
-    moments = moments.reshape(n, 3, 3)
-    _, axes = np.linalg.eigh(moments)
+    # Second moments of the steps to the neighbours.
+    products = step[:, :, None] * step[:, None, :]
+    moments = summed(edges.a, products.reshape(-1, 9), n)
+    _, axes = np.linalg.eigh(moments.reshape(n, 3, 3))
+
+    # The direction in which the neighbours spread least, outwards.
     across: Doubles = axes[:, :, 0]
     side = np.einsum("ij,ij->i", across, normals)
     across = across * np.where(side < 0, -1.0, 1.0)[:, None]
-    first = np.cross([0.0, 0.0, 1.0], across)
-    level = np.linalg.norm(first, axis=1) < 0.1
-    first[level] = np.cross([0.0, 1.0, 0.0], across[level])
-    first /= np.linalg.norm(first, axis=1, keepdims=True)
-    return np.stack([first, np.cross(across, first)], axis=1)
+
+    # On level parts, where +z has no direction in the plane, up is +y.
+    rightward = np.cross([0.0, 0.0, 1.0], across)
+    level = np.linalg.norm(rightward, axis=1) < 0.1
+    rightward[level] = np.cross([0.0, 1.0, 0.0], across[level])
+    rightward /= np.linalg.norm(rightward, axis=1, keepdims=True)
+    return np.stack([rightward, np.cross(across, rightward)], axis=1)
 
 
 def _cut(centred: Doubles, normals: Doubles, edges: Edges) -> Mask:
     """Edges across which a closed band is cut open, bool (n_edges,); none where it is open."""
     n = len(centred)
-    best: tuple[float, Mask] | None = None
+    is_cut = np.zeros(len(edges.a), dtype=np.bool_)
+    longest = -1.0
     for axis in range(3):
-        one, other = (centred[:, k] for k in range(3) if k != axis)
-        angle = np.arctan2(other, one)
-        radial = centred * (np.arange(3) != axis)
-        outward = np.einsum("ij,ij->i", radial, normals)
+        x, y = np.delete(centred, axis, axis=1).T
+        angle = np.arctan2(y, x)
         n_sectors = min(N_SECTORS, max(4, int(np.sqrt(n))))
-        sector = ((angle + np.pi) / (2 * np.pi) * n_sectors).astype(np.intp) % n_sectors
-        if len(np.unique(sector)) < n_sectors or (outward > 0).mean() < MOST_OUTWARD:
+        part_of_turn = (angle + np.pi) / (2 * np.pi)
+        sector = (part_of_turn * n_sectors).astype(np.intp) % n_sectors
+        is_all_around = len(np.unique(sector)) == n_sectors
+
+        # Normals of a band point away from its axis.
+        radial = centred.copy()
+        radial[:, axis] = 0
+        outward = np.einsum("ij,ij->i", radial, normals)
+        is_outward = (outward > 0).mean() >= MOST_OUTWARD
+        if not is_all_around or not is_outward:
             continue
-        crossing = [
-            np.abs(((angle[edges.a] - at) % (2 * np.pi)) - ((angle[edges.b] - at) % (2 * np.pi)))
-            > np.pi
-            for at in np.linspace(-np.pi, np.pi, N_SECTORS, endpoint=False)
-        ]
+
+        # The longest band is cut, where the fewest edges cross the cut.
         length = float(np.ptp(centred[:, axis]))
-        if best is None or length > best[0]:
-            best = length, min(crossing, key=np.count_nonzero)
-    return np.zeros(len(edges.a), dtype=np.bool_) if best is None else best[1]
+        if length > longest:
+            longest = length
+            cuts = np.linspace(-np.pi, np.pi, N_SECTORS, endpoint=False)
+            crossings = [_crossing(angle, edges, cut) for cut in cuts]
+            is_cut = min(crossings, key=np.count_nonzero)
+    return is_cut
+
+
+def _crossing(angle: Doubles, edges: Edges, cut: float) -> Mask:
+    """Edges whose points lie on the two sides of an angle, bool (n_edges,)."""
+    past_cut = (angle - cut) % (2 * np.pi)
+    crossing: Mask = np.abs(past_cut[edges.a] - past_cut[edges.b]) > np.pi
+    return crossing
 
 
 def _scaled(edges: Edges, n: int) -> Doubles:
     """Plane in which distances are about the lengths of shortest ways, (n, 2)."""
     graph = edges.matrix(n)
-    chosen = [0]
-    ways = [dijkstra(graph, directed=False, indices=0)]
-    first = ways[0].copy()
-    first[~np.isfinite(first)] = 0.0
-    least = ways[0].copy()
+    landmarks = [0]
+    lengths = [dijkstra(graph, directed=False, indices=0)]
+
+    # Each further landmark is the point that is farthest from those before it.
+    to_nearest = lengths[0].copy()
     for _ in range(min(N_LANDMARKS, n) - 1):
-        least[~np.isfinite(least)] = 0.0
-        chosen.append(int(np.argmax(least)))
-        ways.append(dijkstra(graph, directed=False, indices=chosen[-1]))
-        least = np.minimum(least, ways[-1])
-    squared = np.stack(ways) ** 2
-    far = np.isfinite(squared)
-    squared[~far] = squared[far].max()  # a cut may leave a point alone
-    between = squared[:, chosen]
+        to_nearest[~np.isfinite(to_nearest)] = 0.0
+        landmarks.append(int(np.argmax(to_nearest)))
+        lengths.append(dijkstra(graph, directed=False, indices=landmarks[-1]))
+        to_nearest = np.minimum(to_nearest, lengths[-1])
+
+    # A cut may leave a point alone: it is as far as the farthest other one.
+    squared = np.stack(lengths) ** 2
+    is_joined = np.isfinite(squared)
+    squared[~is_joined] = squared[is_joined].max()
+
+    # The plane of the landmarks by their squared distances, then all points on it.
+    between = squared[:, landmarks]
     mean = between.mean(axis=0)
     inner = -0.5 * (between - mean[:, None] - mean[None, :] + mean.mean())
-    value, vector = np.linalg.eigh(inner)
-    axes = vector[:, -2:] / np.sqrt(np.maximum(value[-2:], 1e-12))
+    values, vectors = np.linalg.eigh(inner)
+    sizes = np.sqrt(np.maximum(values[-2:], 1e-12))
+    axes = vectors[:, -2:] / sizes
     plane: Doubles = -0.5 * (squared - mean[:, None]).T @ axes
     return plane
 
@@ -198,16 +242,19 @@ def _moments(plane: Doubles, places: Doubles, frames: Doubles, edges: Edges) -> 
     """Sum over neighbours of steps in the plane times steps in the tangent plane, (n, 2, 2)."""
     n = len(plane)
     step = plane[edges.b] - plane[edges.a]
-    each = step[:, :, None] * _local(places, frames, edges)[:, None, :]
-    return summed(edges.a, each.reshape(-1, 4), n).reshape(n, 2, 2)
+    local = _local(places, frames, edges)
+    products = step[:, :, None] * local[:, None, :]
+    return summed(edges.a, products.reshape(-1, 4), n).reshape(n, 2, 2)
 
 
 def _local(places: Doubles, frames: Doubles, edges: Edges) -> Doubles:
     """Steps to the neighbours in the tangent plane of the first point, with their full length."""
-    step = np.einsum("eij,ej->ei", frames[edges.a], places[edges.b] - places[edges.a])
+    step = places[edges.b] - places[edges.a]
+    step = np.einsum("eij,ej->ei", frames[edges.a], step)
     flat = np.linalg.norm(step, axis=1)
-    found: Doubles = step * (edges.length / np.maximum(flat, 1e-12))[:, None]
-    return found
+    stretch = edges.length / np.maximum(flat, 1e-12)
+    local: Doubles = step * stretch[:, None]
+    return local
 
 
 def _rigid(plane: Doubles, places: Doubles, frames: Doubles, edges: Edges) -> Doubles:
@@ -216,9 +263,12 @@ def _rigid(plane: Doubles, places: Doubles, frames: Doubles, edges: Edges) -> Do
     solve = Joined(edges, len(plane))
     back = _reverse(edges)
     for _ in range(N_RIGID):
+        # The rotation, without a reflection, that is nearest to each moment.
         u, _, v = np.linalg.svd(_moments(plane, places, frames, edges))
-        u[:, :, 1] *= np.sign(np.linalg.det(u @ v))[:, None]
-        step = np.einsum("eij,ej->ei", (u @ v)[edges.a], local)
+        handedness = np.sign(np.linalg.det(u @ v))
+        u[:, :, 1] *= handedness[:, None]
+        rotations = u @ v
+        step = np.einsum("eij,ej->ei", rotations[edges.a], local)
         plane = solve(0.5 * (step - step[back]))
     return plane
 
@@ -226,6 +276,7 @@ def _rigid(plane: Doubles, places: Doubles, frames: Doubles, edges: Edges) -> Do
 def _reverse(edges: Edges) -> Indices:
     """Index of each edge in the other direction."""
     n = int(edges.a.max()) + 1
+    # A number for each pair of points.
     forth = edges.a * n + edges.b
     back = edges.b * n + edges.a
     order = np.argsort(forth)
@@ -238,16 +289,20 @@ class Joined:
     def __init__(self, edges: Edges, n: int, weights: Doubles | None = None) -> None:
         self._edges = edges
         self._n = n
-        self._weights = np.ones(len(edges.a)) if weights is None else weights
-        w = coo_matrix((self._weights, (edges.a, edges.b)), (n, n)).tocsc()
-        degree = np.asarray(w.sum(axis=1)).ravel()
+        if weights is None:
+            weights = np.ones(len(edges.a))
+        self._weights = weights
+
+        adjacency = coo_matrix((weights, (edges.a, edges.b)), (n, n)).tocsc()
+        degree = np.asarray(adjacency.sum(axis=1)).ravel()
         # The ridge fixes what differences do not: the middle of each part.
-        laplacian = coo_matrix((degree + 1e-9, (range(n), range(n))), (n, n)).tocsc() - w
-        self._solve = splu(laplacian)
+        diagonal = coo_matrix((degree + 1e-9, (range(n), range(n))), (n, n)).tocsc()
+        self._solve = splu(diagonal - adjacency)
 
     def __call__(self, steps: Doubles) -> Doubles:
         """Coordinates, float64 (n, 2), about 0; steps: (n_edges, 2), from a to b, both ways."""
-        right = -summed(self._edges.a, self._weights[:, None] * steps, self._n)
-        found: Doubles = self._solve.solve(right)
-        found -= found.mean(axis=0)
-        return found
+        weighted = self._weights[:, None] * steps
+        right_side = -summed(self._edges.a, weighted, self._n)
+        coordinates: Doubles = self._solve.solve(right_side)
+        coordinates -= coordinates.mean(axis=0)
+        return coordinates

@@ -44,14 +44,18 @@ def _train(arguments: argparse.Namespace) -> int:
 
     spans = training.read_labels(arguments.labels)
     phi = training.phi_of(arguments.recordings, arguments.reads)
-    every = training.examples(arguments.recordings, spans, arguments.reads)
+    examples = training.examples(arguments.recordings, spans, arguments.reads)
     with whole_file(arguments.out) as draft:
-        model, share = training.train(every, arguments.reads, phi)
+        model, share = training.train(examples, arguments.reads, phi)
         joblib.dump(model, draft)
         draft.chmod(0o600)
-    n = len(every.labels)
-    labels = ", ".join(f"{label} {int((every.labels == label).sum())}" for label in model.classes_)
-    print(f"{n} frames of {every.inputs.shape[1]} numbers: {labels}")
+
+    counts = []
+    for label in model.classes_:
+        n_of_label = int((examples.labels == label).sum())
+        counts.append(f"{label} {n_of_label}")
+    n, n_inputs = examples.inputs.shape
+    print(f"{n} frames of {n_inputs} numbers: {', '.join(counts)}")
     print(f"{100 * share:.0f} % of the frames held out are recognised")
     print(f'{arguments.out}: written; use it: model = "{arguments.out}" of a node recogniser')
     return 0

@@ -43,6 +43,7 @@ def check_name(name: str) -> None:
         if ":" not in name:
             raise SettingsError(f'{name!r}: expected "module:Class", or a file {SUFFIX} of yours')
         return
+
     try:
         state = os.stat(name)
     except OSError as error:
@@ -89,9 +90,8 @@ def _unpickled(path: Path) -> Any:
         # The only place where a file is unpickled: the user has named it, and it is his.
         import joblib  # noqa: TID251
     except ImportError as error:
-        raise SettingsError(
-            f"{path}: joblib is not installed: pip install 'sparseskin[tasks]'"
-        ) from error
+        command = "pip install 'sparseskin[tasks]'"
+        raise SettingsError(f"{path}: joblib is not installed: {command}") from error
     try:
         return joblib.load(path)
     except Exception as error:

@@ -95,6 +95,7 @@ class Recogniser(Node[RecogniserSettings]):
         if self._since_ns is None or label != self._label:
             self._label = label
             self._since_ns = message.stamp_ns
+
         self._n_frames += 1
         self._counts[label] = self._counts.get(label, 0) + 1
         yield Labels(
@@ -118,6 +119,7 @@ class Recogniser(Node[RecogniserSettings]):
                 f"{message.topic}: made by Phi {message.phi}, but the model was trained on "
                 f"{self._phi}: set the same phi, m, seed and rows as then"
             )
+
         array = message.forces if isinstance(message, Reconstruction) else message.y
         values = np.asarray(array, dtype=np.float32).reshape(1, -1)
         if self._n_inputs is not None and values.shape[1] != self._n_inputs:
@@ -139,9 +141,13 @@ class Recogniser(Node[RecogniserSettings]):
             raise RefusedError(
                 f"model {self.settings.model}: expected {len(self._labels)} finite shares"
             )
+
         best = int(shares.argmax())
         share = float(np.clip(shares[best], 0, 1))
-        return self._labels[best] if share >= self.settings.least else "", share
+        label = ""
+        if share >= self.settings.least:
+            label = self._labels[best]
+        return label, share
 
     def state(self) -> dict[str, Any]:
         return {"label": self._label}

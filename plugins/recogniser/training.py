@@ -80,7 +80,8 @@ def _span(place: str, row: dict[str, Any]) -> Span:
     if not label or not label.isprintable() or len(label) > MAX_LABEL:
         raise SparseskinError(f"{place}: label {label!r}; allowed: 1..{MAX_LABEL} characters")
     times = []
-    for name, default in zip(SPAN, (0.0, np.inf), strict=True):
+    defaults = (0.0, np.inf)
+    for name, default in zip(SPAN, defaults, strict=True):
         text = row.get(name) or ""
         try:
             times.append(float(text) if text.strip() else default)
@@ -105,20 +106,23 @@ def examples(paths: Sequence[str], spans: Sequence[Span], reads: str) -> Example
     for path in paths:
         frames, seconds = _frames(path, reads)
         names = {path, os.path.basename(path), Path(path).stem}
-        ours = [(k, span) for k, span in enumerate(spans) if span.recording in names]
-        if not ours:
+        spans_of_recording = [(k, span) for k, span in enumerate(spans) if span.recording in names]
+        if not spans_of_recording:
             raise SparseskinError(f"{path}: no row of the table of labels names it")
+
         # Nothing presses in frames of a small norm.
         norms = np.linalg.norm(frames, axis=1)
         is_loaded = norms > LOADED * np.percentile(norms, 95)
-        for k, span in ours:
-            inside = is_loaded & (seconds >= span.begin_s) & (seconds < span.end_s)
-            inputs.append(frames[inside])
-            labels += [span.label] * int(inside.sum())
-            numbers += [k] * int(inside.sum())
+        for k, span in spans_of_recording:
+            is_in_span = is_loaded & (seconds >= span.begin_s) & (seconds < span.end_s)
+            n_frames = int(is_in_span.sum())
+            inputs.append(frames[is_in_span])
+            labels += [span.label] * n_frames
+            numbers += [k] * n_frames
         if inputs[0].shape[1] != frames.shape[1]:
             counts = f"{frames.shape[1]} numbers a frame, but {inputs[0].shape[1]} in {paths[0]}"
             raise SparseskinError(f"{path}: {counts}")
+
     unused = {span.recording for span in spans} - set(_names(paths))
     if unused:
         raise SparseskinError(f"labels of {sorted(unused)[0]!r}: no such recording is stated")
@@ -147,23 +151,23 @@ def _frames(path: str, reads: str) -> tuple[Floats, np.ndarray[Any, Any]]:
     return frames, (stamp_ns - stamp_ns[0]) / 1e9
 
 
-def _evenly(every: Examples) -> Examples:
+def _evenly(given_examples: Examples) -> Examples:
     """At most `MOST_FRAMES` examples, evenly chosen."""
-    n = len(every.inputs)
+    n = len(given_examples.inputs)
     if n <= MOST_FRAMES:
-        return every
-    chosen = np.arange(MOST_FRAMES) * n // MOST_FRAMES
-    return Examples(*(part[chosen] for part in every))
+        return given_examples
+    evenly_spaced = np.arange(MOST_FRAMES) * n // MOST_FRAMES
+    return Examples(*(part[evenly_spaced] for part in given_examples))
 
 
-def held_out(every: Examples) -> np.ndarray[Any, np.dtype[np.bool_]]:
+def held_out(given_examples: Examples) -> np.ndarray[Any, np.dtype[np.bool_]]:
     """Marks of the examples of the test: of a label the last of its rows of the table, or, where it
     has one row, the last quarter of its frames.
     """
-    marks = np.zeros(len(every.labels), dtype=np.bool_)
-    for label in np.unique(every.labels):
-        of_label = np.flatnonzero(every.labels == label)
-        spans = every.spans[of_label]
+    marks = np.zeros(len(given_examples.labels), dtype=np.bool_)
+    for label in np.unique(given_examples.labels):
+        of_label = np.flatnonzero(given_examples.labels == label)
+        spans = given_examples.spans[of_label]
         if np.unique(spans).size > 1:
             marks[of_label[spans == spans.max()]] = True
         else:
@@ -171,17 +175,24 @@ def held_out(every: Examples) -> np.ndarray[Any, np.dtype[np.bool_]]:
     return marks
 
 
-def train(every: Examples, reads: str, phi: str = "") -> tuple[TrainedModel, float]:
+def train(given_examples: Examples, reads: str, phi: str = "") -> tuple[TrainedModel, float]:
     """Train a model on all examples; and the share of those that are right of a test, of a model
     that was trained without them. Raises SparseskinError if there are too few.
     """
-    is_test = held_out(every)
-    trial = TrainedModel(reads).fit(every.inputs[~is_test], every.labels[~is_test])
-    shares = trial.predict_proba(every.inputs[is_test])
-    right = trial.classes_[shares.argmax(axis=1)] == every.labels[is_test]
+    is_test = held_out(given_examples)
+    # One model for the test alone, and one of all examples for the node.
+    trial = TrainedModel(reads).fit(
+        given_examples.inputs[~is_test], given_examples.labels[~is_test]
+    )
+    shares = trial.predict_proba(given_examples.inputs[is_test])
+    is_right = trial.classes_[shares.argmax(axis=1)] == given_examples.labels[is_test]
+
     model = TrainedModel(reads, phi)
-    model.fit(every.inputs, every.labels)
-    return model, float(right.mean()) if right.size else float("nan")
+    model.fit(given_examples.inputs, given_examples.labels)
+    share = float("nan")
+    if is_right.size:
+        share = float(is_right.mean())
+    return model, share
 
 
 def phi_of(paths: Sequence[str], reads: str) -> str:
@@ -196,7 +207,7 @@ def phi_of(paths: Sequence[str], reads: str) -> str:
     fingerprints: set[str] = set()
     for path in paths:
         with BagReader(path) as bag:
-            topics = [t for t in bag.topics if t.endswith(f"/{Measurements.schema}")]
+            topics = [topic for topic in bag.topics if topic.endswith(f"/{Measurements.schema}")]
             for message, _ in streams(bag, topics, "phi"):
                 assert isinstance(message, Measurements)
                 fingerprints.add(message.phi)

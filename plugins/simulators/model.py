@@ -67,15 +67,17 @@ def check_model(source: str, n_rows: int | None, n_cols: int | None) -> int:
     taxels is not allowed or not the one that is stated, or the process fails or takes too long.
     """
     path, site = split_address(source)
-    found = Path(path)
-    if not found.is_file():
-        what = "is a folder" if found.is_dir() else "no such file"
-        raise SourceError(f"{path}: {what}")
-    if found.suffix.lower() not in SUFFIXES:
+    file = Path(path)
+    if not file.is_file():
+        fault = "is a folder" if file.is_dir() else "no such file"
+        raise SourceError(f"{path}: {fault}")
+    if file.suffix.lower() not in SUFFIXES:
         raise SourceError(f"{path}: expected a MuJoCo model, {' or '.join(SUFFIXES)}")
     if find_spec("mujoco") is None:
         raise SourceError(f"{path}: {INSTALL}")
-    state = found.stat()
+
+    # A file that was written again is checked again.
+    state = file.stat()
     shape = _shape(path, site, (state.st_mtime_ns, state.st_size))
     check_stated_shape(*shape, n_rows, n_cols, source)
     return shape[0] * shape[1]
@@ -85,15 +87,15 @@ def shape_in_child(address: str, n_bytes: int) -> tuple[int, int]:
     """Rows and columns of the skin MODEL#SITE, of a file of `n_bytes`, by a child: a short model
     may take any time and memory. Raises SourceError.
     """
-    found = output_of(f"{__package__}.source", address, n_bytes=n_bytes)
-    n_rows, n_cols = map(int, found.split()[-2:])
+    output = output_of(f"{__package__}.source", address, n_bytes=n_bytes)
+    n_rows, n_cols = map(int, output.split()[-2:])
     return n_rows, n_cols
 
 
 @lru_cache(maxsize=8)
-def _shape(path: str, site: str, of: tuple[int, int]) -> tuple[int, int]:
+def _shape(path: str, site: str, version: tuple[int, int]) -> tuple[int, int]:
     """Rows and columns, of one form of the file: its time and size."""
-    return shape_in_child(f"{path}#{site}", of[1])
+    return shape_in_child(f"{path}#{site}", version[1])
 
 
 def load_model(path: str) -> Any:
@@ -103,14 +105,16 @@ def load_model(path: str) -> Any:
     except ImportError as error:
         raise SourceError(f"{path}: {INSTALL}") from error
     mujoco.set_mju_user_warning(lambda text: None)  # else it writes MUJOCO_LOG.TXT here
-    is_binary = path.lower().endswith(".mjb")
-    load = mujoco.MjModel.from_binary_path if is_binary else mujoco.MjModel.from_xml_path
+    load = mujoco.MjModel.from_xml_path
+    if path.lower().endswith(".mjb"):
+        load = mujoco.MjModel.from_binary_path
     try:
         model = load(path)
     except Exception as error:  # its own errors, and ValueError
         text = " ".join(str(error).split())
         raise SourceError(f"{path}: MuJoCo refuses it: {text[:300]}") from error
-    if not LEAST_STEP_S <= (step_s := float(model.opt.timestep)) <= LONGEST_STEP_S:
+    step_s = float(model.opt.timestep)
+    if not LEAST_STEP_S <= step_s <= LONGEST_STEP_S:
         allowed = f"{LEAST_STEP_S:g}..{LONGEST_STEP_S:g} s"
         raise SourceError(f"{path}: a time step of {step_s:g} s; allowed: {allowed}")
     return model
@@ -125,38 +129,42 @@ def find_pad(model: Any, site: str, path: str) -> Pad:
 
     names = [model.site(k).name for k in range(model.nsite)]
     is_box = np.asarray(model.site_type) == mujoco.mjtGeom.mjGEOM_BOX
-    boxes = [name for name, box in zip(names, is_box, strict=True) if box]
+    boxes = [names[k] for k in np.flatnonzero(is_box)]
     if site not in names:
         hint = did_you_mean(site, boxes) or " (it has no box site)"
         raise SourceError(f"{path}: has no site {site[:80]!r}{hint}")
     if site not in boxes:
         raise SourceError(f"{path}: site {site!r} is no box; a skin is the face of a box at its +z")
-    k = model.site(site).id
 
     def constant(name: str, default: float, low: float, high: float) -> float:
         numeric = f"{site}_{name}"
-        held = [model.numeric(i).name for i in range(model.nnumeric)]
-        if numeric not in held:
+        numerics = [model.numeric(i).name for i in range(model.nnumeric)]
+        if numeric not in numerics:
             return default
         data = np.ravel(model.numeric(numeric).data)
-        value = float(data[0]) if data.size == 1 else np.nan
+        value = np.nan
+        if data.size == 1:
+            value = float(data[0])
         if not is_real(value, low, high):
             raise SourceError(
                 f"{path}: numeric {numeric!r}: expected one number in {low:g}..{high:g}"
             )
         return value
 
+    k = model.site(site).id
+    # Sides of a box site are stated as halves.
     pitch = constant("pitch_m", SKIN.pitch_m, 1e-5, 1.0)
     half_x, half_y, half_z = (float(side) for side in model.site_size[k])
-    sides = [2 * half / pitch for half in (half_y, half_x)]
+    sides = (2 * half_y / pitch, 2 * half_x / pitch)
     shape = (round(sides[0]), round(sides[1]))
-    for what, side, whole in zip(("y", "x"), sides, shape, strict=True):
-        if not (1 <= whole <= MAX_SIDE and abs(side - whole) <= _WHOLE):
+    for axis, side, n_taxels in zip(("y", "x"), sides, shape, strict=True):
+        if not (1 <= n_taxels <= MAX_SIDE and abs(side - n_taxels) <= _WHOLE):
             raise SourceError(
-                f"{path}: site {site!r} has {side:.2f} taxels of {1000 * pitch:g} mm along {what}; "
+                f"{path}: site {site!r} has {side:.2f} taxels of {1000 * pitch:g} mm along {axis}; "
                 f"allowed is a whole number in 1..{MAX_SIDE} (size, or numeric {site}_pitch_m)"
             )
     check_grid(*shape, path)
+
     return Pad(
         site=k,
         body=int(model.site_bodyid[k]),
@@ -173,24 +181,29 @@ def touching_geoms(model: Any, pad: Pad, path: str) -> Any:
     """Ids of the geoms that can touch the skin: those that collide, of bodies not welded to it or
     its parent (which MuJoCo does not let collide either). SourceError if there is none.
     """
-    own = int(model.body_weldid[pad.body])
-    parent = int(model.body_weldid[model.body_parentid[own]]) if own else 0
+    weld = int(model.body_weldid[pad.body])
+    parent = 0
+    if weld:
+        parent = int(model.body_weldid[model.body_parentid[weld]])
     bodies = model.body_weldid[model.geom_bodyid]
+
     # The world is the parent of all that stands on it, and may still be touched.
-    other = (bodies != own) & ((bodies != parent) | (parent == 0))
+    can_move = (bodies != weld) & ((bodies != parent) | (parent == 0))
     collides = (model.geom_contype != 0) | (model.geom_conaffinity != 0)
-    found = np.flatnonzero(other & collides)
-    if own == 0:
-        found = found[bodies[found] != 0]
-    if not found.size:
+    geoms = np.flatnonzero(can_move & collides)
+    # Geoms of the world do not move against a skin that is fixed to it.
+    if weld == 0:
+        geoms = geoms[bodies[geoms] != 0]
+    if not geoms.size:
         raise SourceError(
             f"{path}: no geom can touch site {model.site(pad.site).name!r}: expected a geom with "
             "contype or conaffinity on a body that can move against it"
         )
-    return found
+    return geoms
 
 
 def bears_load(model: Any, pad: Pad) -> bool:
     """True if a geom of the skin's body collides, so that MuJoCo's contact bears the load."""
-    own = model.geom_bodyid == pad.body
-    return bool(np.any(own & ((model.geom_contype != 0) | (model.geom_conaffinity != 0))))
+    on_body = model.geom_bodyid == pad.body
+    collides = (model.geom_contype != 0) | (model.geom_conaffinity != 0)
+    return bool(np.any(on_body & collides))

@@ -60,17 +60,23 @@ class MujocoSource(Source):
         self.pad = find_pad(self.model, site, self.path)
         check_stated_shape(*self.pad.shape, n_rows, n_cols, source)
         self.name = re.sub(r"[^\x20-\x7e]", "?", f"{Path(self.path).stem}#{site}")[:200]
-        f_max = PAPER_F_MAX_N if f_max is None else f_max
+        if f_max is None:
+            f_max = PAPER_F_MAX_N
         self.skin = Skin(*self.pad.shape, f_max=f_max, pitch_m=self.pad.pitch_m)
-        self._schedule = None if control is not None else _schedule(self.model)
+
         self._control = control
+        self._schedule: Doubles | None = None
+        if control is None:
+            self._schedule = _schedule(self.model)
+
+        # Frames are taken every few steps of the model.
         self._every = max(1, round(1.0 / (RATE_HZ * self.model.opt.timestep)))
         self.rate_hz: float | None = 1.0 / (self._every * self.model.opt.timestep)
         if duration_s is None and self._schedule is not None:
             duration_s = float(self._schedule[-1])
-        self.n_frames: int | None = (
-            None if duration_s is None else max(1, round(duration_s * self.rate_hz))
-        )
+        self.n_frames: int | None = None
+        if duration_s is not None:
+            self.n_frames = max(1, round(duration_s * self.rate_hz))
         self.touch = Touch(self.model, self._reset(), self.pad, self.path)
 
     def __iter__(self) -> Iterator[tuple[int, Floats]]:
@@ -88,15 +94,17 @@ class MujocoSource(Source):
         step = 0
         n_frames = 0
         while self.n_frames is None or n_frames < self.n_frames:
+            frame_is_due = step % self._every == 0
             self._drive(data)
             mujoco.mj_step1(model, data)
-            frame_is_due = step % self._every == 0
+            # A skin that bears the load presses in every step.
             if touch.presses:
                 forces = touch.press()
             elif frame_is_due:
                 forces = touch.read()
             mujoco.mj_step2(model, data)
             self._check(data)
+
             if frame_is_due:
                 stamp_ns = round(step * model.opt.timestep * 1e9)
                 yield stamp_ns, np.minimum(forces, f_max)
@@ -125,8 +133,9 @@ class MujocoSource(Source):
     def _check(self, data: Any) -> None:
         import mujoco
 
-        kinds = (mujoco.mjtWarning.mjWARN_BADQPOS, mujoco.mjtWarning.mjWARN_BADQVEL)
-        if any(data.warning[kind].number for kind in (*kinds, mujoco.mjtWarning.mjWARN_BADQACC)):
+        kinds = mujoco.mjtWarning
+        diverges = (kinds.mjWARN_BADQPOS, kinds.mjWARN_BADQVEL, kinds.mjWARN_BADQACC)
+        if any(data.warning[kind].number for kind in diverges):
             raise SourceError(
                 f"{self._source}: the simulation diverges at {data.time:.3f} s; allowed: a smaller "
                 "time step, or less stiffness or damping of the skin for the mass of its bodies"
@@ -136,23 +145,28 @@ class MujocoSource(Source):
 def _schedule(model: Any) -> Doubles | None:
     """Times of the keyframes, if there are several and they rise; None otherwise."""
     times = np.array(model.key_time, dtype=np.float64)
-    return times if len(times) > 1 and bool(np.all(np.diff(times) > 0)) else None
+    if len(times) < 2 or not np.all(np.diff(times) > 0):
+        return None
+    return times
 
 
 def _follow(model: Any, data: Any, times: Doubles) -> None:
     """Set controls and mocap poses between two keyframes."""
-    after = int(np.clip(np.searchsorted(times, data.time, side="right"), 1, len(times) - 1))
-    before = after - 1
-    share = np.clip((data.time - times[before]) / (times[after] - times[before]), 0.0, 1.0)
+    k = np.searchsorted(times, data.time, side="right")
+    following = int(np.clip(k, 1, len(times) - 1))
+    preceding = following - 1
+    span_s = times[following] - times[preceding]
+    part = np.clip((data.time - times[preceding]) / span_s, 0.0, 1.0)
 
     def between(values: Doubles) -> Doubles:
-        found: Doubles = (1.0 - share) * values[before] + share * values[after]
-        return found
+        values_now: Doubles = (1.0 - part) * values[preceding] + part * values[following]
+        return values_now
 
     data.ctrl[:] = between(model.key_ctrl)
     if model.nmocap:
         data.mocap_pos[:] = between(model.key_mpos).reshape(-1, 3)
         quaternions = between(model.key_mquat).reshape(-1, 4)
+        # A mean of two unit quaternions is shorter than 1.
         lengths = np.linalg.norm(quaternions, axis=1, keepdims=True)
         data.mocap_quat[:] = quaternions / np.maximum(lengths, 1e-12)
 

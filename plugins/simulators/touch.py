@@ -44,26 +44,23 @@ class Touch:
         self._pad = pad
         self._geoms = touching_geoms(model, pad, path)
         self.presses = not bears_load(model, pad)
+
         # Rays look at a copy: visual groups and transparency decide what they meet.
         self._seen = copy.copy(model)
         self._seen.geom_rgba[:, 3] = 1.0
         self._seen.geom_matid[:] = -1
-        n_rows, n_cols = pad.shape
-        col, row = np.meshgrid(np.arange(n_cols), np.arange(n_rows))
-        self._places = np.stack(
-            [
-                (col.ravel() - (n_cols - 1) / 2) * pad.pitch_m,
-                (row.ravel() - (n_rows - 1) / 2) * pad.pitch_m,
-                np.zeros(n_rows * n_cols),
-            ],
-            axis=1,
-        )
+        self._group = np.zeros(6, np.uint8)
+        self._group[_SEEN] = 1
+
+        # Rays from the apex to the taxels.
+        self._places = _places_on(pad)
         reach = self._places + np.array([0.0, 0.0, APEX_M])
         self._lengths = np.linalg.norm(reach, axis=1)
         self._rays = reach / self._lengths[:, None]
-        self._radius = 0.5 * pad.pitch_m * float(np.hypot(n_rows, n_cols))
-        self._group = np.zeros(6, np.uint8)
-        self._group[_SEEN] = 1
+
+        # Of the circle around all taxels.
+        self._radius = 0.5 * pad.pitch_m * float(np.hypot(*pad.shape))
+        #: Wrench that the taxels apply to each body.
         self._applied: dict[int, Doubles] = {}
 
     def read(self) -> Floats:
@@ -76,15 +73,21 @@ class Touch:
         next `mj_step2`: they are added to `xfrc_applied`, which others may use too.
         """
         forces, points, bodies = self._forces()
-        normal = self._frame()[1][:, 2]
+        _, axes = self._frame()
+        normal = axes[:, 2]
+
+        # The forces of the last call act no longer.
         for body, wrench in self._applied.items():
             self._data.xfrc_applied[body] -= wrench
         self._applied = {}
+
         pressed = np.flatnonzero(forces > 0)
         forces_on = forces[pressed]
         points_on = points[pressed]
         bodies_on = bodies[pressed]
+
         for body in set(bodies_on.tolist()):
+            # The sum of its forces, and of their moments; the skin feels the opposite.
             on_it = bodies_on == body
             total = float(forces_on[on_it].sum())
             moment = forces_on[on_it] @ points_on[on_it]
@@ -117,44 +120,52 @@ class Touch:
     def _frame(self) -> tuple[Doubles, Doubles]:
         """Middle of the plane of the taxels, and the axes of the site as columns."""
         axes = self._data.site_xmat[self._pad.site].reshape(3, 3)
-        return self._data.site_xpos[self._pad.site] + self._pad.top_m * axes[:, 2], axes
+        middle = self._data.site_xpos[self._pad.site] + self._pad.top_m * axes[:, 2]
+        return middle, axes
 
     def _near(self, middle: Doubles, normal: Doubles) -> Indices:
         """Geoms whose bounding sphere reaches the taxels; planes have none."""
         model = self._seen
         geoms = self._geoms
-        away = self._data.geom_xpos[geoms] - middle
+        offsets = self._data.geom_xpos[geoms] - middle
         radius = model.geom_rbound[geoms]
-        height = away @ normal
-        aside = np.sqrt(np.maximum((away**2).sum(axis=1) - height**2, 0.0))
-        depth = self._pad.depth_m
-        reached = (height - radius < 0) & (height + radius > -depth)
-        near: Indices = geoms[(radius == 0) | (reached & (aside < self._radius + radius))]
-        return near
+        height = offsets @ normal
+        aside = np.sqrt(np.maximum((offsets**2).sum(axis=1) - height**2, 0.0))
+
+        is_plane = radius == 0
+        is_at_height = (height - radius < 0) & (height + radius > -self._pad.depth_m)
+        is_over_taxels = aside < self._radius + radius
+        within_reach: Indices = geoms[is_plane | (is_at_height & is_over_taxels)]
+        return within_reach
 
     def _forces(self) -> tuple[Doubles, Doubles, Indices]:
         """Forces, points where they act, and bodies that they act on, one of each a taxel."""
         n = len(self._places)
-        middle, axes = self._frame()
         forces = np.zeros(n)
         points = np.zeros((n, 3))
         bodies = np.zeros(n, np.intp)
+
+        middle, axes = self._frame()
         near = self._near(middle, axes[:, 2])
         taxels = self._under(near, middle, axes)
         if not taxels.size:
             return forces, points, bodies
+
         depths, hit, tops = self._depths(near, taxels, middle, axes)
-        touched = np.flatnonzero(depths > 0)
-        depths, at = depths[touched], taxels[touched]
+        is_deep = depths > 0
+        depths = depths[is_deep]
+        touched_taxels = taxels[is_deep]
         normal = axes[:, 2]
+        points[touched_taxels] = tops[is_deep] - depths[:, None] * normal
+        bodies[touched_taxels] = self._seen.geom_bodyid[hit[is_deep]]
+
+        # Rates at which the bodies press into the skin.
         pad = self._pad
-        points[at] = tops[touched] - depths[:, None] * normal
-        bodies[at] = self._seen.geom_bodyid[hit[touched]]
-        speeds = -self._speeds(pad.body, points[at], normal)
-        for body in set(bodies[at].tolist()):
-            on_it = bodies[at] == body
-            speeds[on_it] += self._speeds(body, points[at][on_it], normal)
-        forces[at] = np.maximum(pad.stiffness * depths - pad.damping * speeds, 0.0)
+        speeds = -self._speeds(pad.body, points[touched_taxels], normal)
+        for body in set(bodies[touched_taxels].tolist()):
+            on_it = bodies[touched_taxels] == body
+            speeds[on_it] += self._speeds(body, points[touched_taxels][on_it], normal)
+        forces[touched_taxels] = np.maximum(pad.stiffness * depths - pad.damping * speeds, 0.0)
         return forces, points, bodies
 
     def _under(self, near: Indices, middle: Doubles, axes: Doubles) -> Indices:
@@ -164,9 +175,10 @@ class Touch:
             radius = self._seen.geom_rbound[geom]
             if radius == 0:  # a plane
                 return np.arange(len(under))
+
             x, y, _ = (self._data.geom_xpos[geom] - middle) @ axes
-            away = (self._places[:, 0] - x) ** 2 + (self._places[:, 1] - y) ** 2
-            under |= away <= radius**2
+            distance2 = (self._places[:, 0] - x) ** 2 + (self._places[:, 1] - y) ** 2
+            under |= distance2 <= radius**2
         return np.flatnonzero(under)
 
     def _depths(
@@ -179,6 +191,7 @@ class Touch:
         n = len(taxels)
         self._seen.geom_group[:] = _UNSEEN
         self._seen.geom_group[near] = _SEEN
+
         hit = np.full(n, -1, np.int32)
         distance = np.empty(n)
         lengths = self._lengths[taxels]
@@ -196,9 +209,13 @@ class Touch:
             n,
             APEX_M + 1.0,
         )
+
+        # Along the normal, in proportion to the ray.
         depths = (lengths - distance) * (APEX_M / lengths)
         depths[hit < 0] = 0.0
         tops = middle + self._places[taxels] @ axes.T
+
+        # Where the first surface is deeper than is read, a shorter ray looks again.
         for k in np.flatnonzero(depths > self._pad.depth_m):
             depths[k], hit[k] = self._deep(tops[k], normal)
         return depths, hit, tops
@@ -227,6 +244,15 @@ class Touch:
         across = _cross(normal, rates[:3])
         speeds: Doubles = (points - centre) @ across + rates[3:] @ normal
         return speeds
+
+
+def _places_on(pad: Pad) -> Doubles:
+    """Places of the taxels from the middle of their plane, metres, float64 (n, 3)."""
+    n_rows, n_cols = pad.shape
+    col, row = np.meshgrid(np.arange(n_cols), np.arange(n_rows))
+    x = (col.ravel() - (n_cols - 1) / 2) * pad.pitch_m
+    y = (row.ravel() - (n_rows - 1) / 2) * pad.pitch_m
+    return np.stack([x, y, np.zeros(x.size)], axis=1)
 
 
 def _cross(a: Doubles, b: Doubles) -> Doubles:

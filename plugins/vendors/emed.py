@@ -67,27 +67,30 @@ class EmedRecording(WholeRecording):
     def __init__(self, lines: Lines) -> None:
         super().__init__()
         self._lines = lines
-        first = self._next_page()
-        if first is None:
+        first_page = self._next_page()
+        if first_page is None:
             raise SourceError(
                 f"{lines.name}: no page with a line 'Pict-No.: 1'; not an emed text export"
             )
-        self._header, self._first_number = first
+        self._header, self._first_number = first_page
 
     def read(self) -> Parsed:
         header = self._header
-        first = self._first_number
+        first_number = self._first_number
         name = self._lines.name
-        frames = [self._table(first)]
-        while (page := self._next_page()) is not None:
-            number = page[1]
+        frames = [self._table(first_number)]
+        page = self._next_page()
+        while page is not None:
+            page_header, number = page
             where = self._lines.where
-            if page[0] != header:
+            if page_header != header:
                 raise SourceError(
                     f"{where}: the header of frame {number} differs from the first one"
                 )
-            check_number(number, first + len(frames), where)
+            check_number(number, first_number + len(frames), where)
             frames.append(self._table(number))
+            page = self._next_page()
+
         return Parsed(
             forces=stack_frames(frames, name) * header.newtons_per_kpa,
             unit="N",
@@ -98,20 +101,22 @@ class EmedRecording(WholeRecording):
 
     def _next_page(self) -> tuple[_Header, int] | None:
         """Read to the table of the next frame: its header and number; None at the end."""
-        stated: Stated = {}
+        properties: Stated = {}
         for line in self._lines:
             for pattern in (_MATRIX, _AREA, _PERIOD, _SIZE):
-                if match := pattern.search(line):
-                    stated[pattern] = match, self._lines.where
+                match = pattern.search(line)
+                if match:
+                    properties[pattern] = (match, self._lines.where)
+
             picture = _PICTURE.search(line)
             if picture is None:
                 continue
             if picture[1].isdigit():
                 where = self._lines.where
-                return _parse_header(stated, where), parse_whole(
-                    picture[1], where, 0, LARGEST_NUMBER
-                )
-            stated = {}
+                header = _parse_header(properties, where)
+                return header, parse_whole(picture[1], where, 0, LARGEST_NUMBER)
+            # Peak pictures are no frames.
+            properties = {}
         return None
 
     def _table(self, number: int) -> Doubles:
@@ -123,21 +128,10 @@ class EmedRecording(WholeRecording):
         if line.startswith("\f"):
             raise SourceError(f"{start}: frame {number} has no table")
         where = lines.where
-        corner, *labels = line.rstrip(" \t").split("\t")
-        if corner.strip():
-            raise SourceError(
-                f"{where}: {shown(corner)} stands where a row of column labels should"
-            )
-        has_sums = bool(labels) and labels[-1].strip() == "Force"
-        columns = [
-            parse_whole(label.strip(), f"{where}, column label", 1, header.n_cols) - 1
-            for label in labels[: len(labels) - has_sums]
-        ]
-        if any(after <= before for before, after in pairwise(columns)):
-            raise SourceError(f"{where}: the column labels do not rise")
+        columns, has_sums = _columns(line, header.n_cols, where)
 
         kpa = np.zeros((header.n_rows, header.n_cols))
-        last_row = -1
+        row_before = -1
         n_cells = 1 + len(columns) + has_sums
         for line in lines:
             where = lines.where
@@ -146,6 +140,7 @@ class EmedRecording(WholeRecording):
                     break
                 lines.back()
                 return kpa
+
             cells = [cell.strip() for cell in line.rstrip(" \t").split("\t")]
             if len(cells) != n_cells:
                 raise SourceError(
@@ -155,34 +150,55 @@ class EmedRecording(WholeRecording):
             if cells[0] == "Force" and has_sums:
                 _check_total(parse_number(cells[-1], where), kpa, header, where)
                 return kpa
+
             row = parse_whole(cells[0], f"{where}, row label", 1, header.n_rows) - 1
-            if row <= last_row:
-                raise SourceError(f"{where}: row {row + 1} comes after row {last_row + 1}")
-            last_row = row
+            if row <= row_before:
+                raise SourceError(f"{where}: row {row + 1} comes after row {row_before + 1}")
+            row_before = row
             for col, token in zip(columns, cells[1:], strict=False):
                 kpa[row, col] = parse_reading(token, f"{where}, frame {number}", row, col)
         raise SourceError(f"{where}: frame {number} is cut short before the end of its table")
 
 
-def _parse_header(stated: Stated, where: str) -> _Header:
+def _columns(line: str, n_cols: int, where: str) -> tuple[list[int], bool]:
+    """Columns of a table by the line of their labels, from 0, and True if sums follow them."""
+    corner, *labels = line.rstrip(" \t").split("\t")
+    if corner.strip():
+        raise SourceError(f"{where}: {shown(corner)} stands where a row of column labels should")
+    has_sums = bool(labels) and labels[-1].strip() == "Force"
+    # The last column is that of the sums of the rows.
+    if has_sums:
+        labels.pop()
+    columns = [
+        parse_whole(label.strip(), f"{where}, column label", 1, n_cols) - 1 for label in labels
+    ]
+    if any(column <= previous for previous, column in pairwise(columns)):
+        raise SourceError(f"{where}: the column labels do not rise")
+    return columns, has_sums
+
+
+def _parse_header(properties: Stated, where: str) -> _Header:
     """The header of the page whose `Pict-No.` stands at a place."""
 
-    def find(pattern: re.Pattern[str], wanted: str) -> tuple[re.Match[str], str]:
-        if pattern not in stated:
-            raise SourceError(f"{where}: the page before it states no '{wanted}'")
-        return stated[pattern]
+    def find(pattern: re.Pattern[str], expected: str) -> tuple[re.Match[str], str]:
+        if pattern not in properties:
+            raise SourceError(f"{where}: the page before it states no '{expected}'")
+        return properties[pattern]
 
-    def quantity(pattern: re.Pattern[str], wanted: str, what: str, unit: str) -> list[float]:
-        match, place = find(pattern, f"{wanted} {unit}")
-        *numbers, found = match.groups()
+    def quantity(pattern: re.Pattern[str], expected: str, noun: str, unit: str) -> list[float]:
+        match, place = find(pattern, f"{expected} {unit}")
+        *numbers, unit_stated = match.groups()
+
         # A superscript two has one byte or two, by the encoding of the file.
-        if not re.fullmatch(unit.replace("2", r"\S*"), found):
-            raise SourceError(f"{place}: {what} in {shown(found)}; allowed is {unit}")
+        if not re.fullmatch(unit.replace("2", r"\S*"), unit_stated):
+            raise SourceError(f"{place}: {noun} in {shown(unit_stated)}; allowed is {unit}")
         return [parse_number(number, place, 1e-6, 1e6) for number in numbers]
 
     matrix, place = find(_MATRIX, "Matrix: COLUMNSxROWS")
     cols, _, rows = matrix[1].partition("x")
-    n_rows, n_cols = parse_shape((rows, f"{place}, Matrix"), (cols, f"{place}, Matrix"))
+    place = f"{place}, Matrix"
+    n_rows, n_cols = parse_shape((rows, place), (cols, place))
+
     (area_cm2,) = quantity(_AREA, "Sensor area: ...", "sensor area", "cm2")
     (period_ms,) = quantity(_PERIOD, "Time/picture: ...", "time per picture", "ms")
     width_cm, height_cm = quantity(_SIZE, "Sensor size: ...x...", "sensor size", "cm")
@@ -191,12 +207,12 @@ def _parse_header(stated: Stated, where: str) -> _Header:
     return _Header(n_rows, n_cols, area_cm2, period_ms, pitch_m)
 
 
-def _check_total(stated_n: float, kpa: Doubles, header: _Header, where: str) -> None:
+def _check_total(force_n: float, kpa: Doubles, header: _Header, where: str) -> None:
     """Compare the total force of a frame with its readings, to the precision of printed digits."""
     total_n = float(kpa.sum()) * header.newtons_per_kpa
     rounding = np.count_nonzero(kpa) * _CELL_ROUNDING_KPA * header.newtons_per_kpa
-    if abs(stated_n - total_n) > _SUM_ROUNDING_N + rounding:
+    if abs(force_n - total_n) > _SUM_ROUNDING_N + rounding:
         raise SourceError(
-            f"{where}: Force is {stated_n:g} N, but the readings add up to {total_n:g} N (pressure "
+            f"{where}: Force is {force_n:g} N, but the readings add up to {total_n:g} N (pressure "
             "in kPa times sensor area)"
         )

@@ -60,24 +60,29 @@ class Hdf5File(ArrayFile):
 
     def blocks(self, key: str, axis: int, size: int) -> Iterator[npt.NDArray[Any]]:
         sides = self.datasets[key].sides
-        stored_axis = len(sides) - 1 - axis if self._is_matlab else axis
+        stored_axis = axis
+        if self._is_matlab:
+            stored_axis = len(sides) - 1 - axis
         self._check_size(key)
         with self._opened() as opened:
             dataset = opened[key.replace(self.separator, "/")]
             step = self._step(key, dataset, stored_axis, size)
             readable = self._readable(key, dataset)
-            before = (slice(None),) * stored_axis
-            for first in range(0, sides[axis], step):
-                part = readable[(*before, slice(first, first + step))]
+            whole_axes = (slice(None),) * stored_axis
+            for begin in range(0, sides[axis], step):
+                part = readable[(*whole_axes, slice(begin, begin + step))]
                 yield np.moveaxis(self._as_read(key, part), axis, 0)
 
     def _step(self, key: str, dataset: Any, axis: int, size: int) -> int:
         """Entries of an axis that are read together: whole chunks, each inflated once."""
         if not dataset.chunks:
             return size
+
         length = int(dataset.chunks[axis])
         n_entries = max(1, dataset.shape[axis])
-        row_bytes = dataset.size // n_entries * min(length, n_entries) * dataset.dtype.itemsize
+        n_together = dataset.size // n_entries * min(length, n_entries)
+        row_bytes = n_together * dataset.dtype.itemsize
+        # HDF5 inflates a chunk whole, whatever part of it is read.
         needed = max(row_bytes, math.prod(dataset.chunks) * dataset.dtype.itemsize)
         if needed > MAX_CHUNK_BYTES:
             fault = f"chunks of {length} entries of axis {axis + 1} need {needed} bytes"
@@ -90,12 +95,18 @@ class Hdf5File(ArrayFile):
             raise SourceError(f"{self.where(key)}: {n_bytes} bytes; at most {self._limit}")
 
     def _readable(self, key: str, dataset: Any) -> Any:
-        return dataset.asstr() if self.datasets[key].dtype.kind == "U" else dataset
+        if self.datasets[key].dtype.kind == "U":
+            return dataset.asstr()
+        return dataset
 
     def _as_read(self, key: str, array: Any) -> npt.NDArray[Any]:
-        dtype = self.datasets[key].dtype
-        numbers = np.asarray(array).astype(np.str_ if dtype.kind == "U" else dtype, copy=False)
-        return numbers.transpose() if self._is_matlab else numbers
+        dtype: Any = self.datasets[key].dtype
+        if dtype.kind == "U":
+            dtype = np.str_
+        values = np.asarray(array).astype(dtype, copy=False)
+        if self._is_matlab:
+            return values.transpose()
+        return values
 
     @contextmanager
     def _opened(self) -> Iterator[Any]:
@@ -104,6 +115,7 @@ class Hdf5File(ArrayFile):
         except ImportError as error:
             needed = 'HDF5 needs h5py; pip install "sparseskin[hdf5]"'
             raise SourceError(f"{self.name}: {needed}") from error
+
         try:
             with h5py.File(self._file, "r") as opened:
                 yield opened
@@ -129,26 +141,32 @@ class Hdf5File(ArrayFile):
     def _add(self, path: str, dataset: Any) -> None:
         if dataset.shape is None:
             return
-        own = dict(_attributes(dataset))
+        of_dataset = dict(_attributes(dataset))
         dtype = _dtype(dataset)
         sides = tuple(map(int, dataset.shape))
         labels = tuple(_label(axis) for axis in dataset.dims)
         if self._is_matlab:
-            kind = text_of(own.get(_MATLAB_CLASS, ""))
-            if kind in ("char", "cell") or "MATLAB_empty" in own:
+            kind = text_of(of_dataset.get(_MATLAB_CLASS, ""))
+            if kind in ("char", "cell") or "MATLAB_empty" in of_dataset:
                 return
-            dtype = np.dtype("?") if kind == "logical" else dtype
-            sides, labels = sides[::-1], labels[::-1]
+            if kind == "logical":
+                dtype = np.dtype("?")
+            # MATLAB writes its axes in reverse.
+            sides = sides[::-1]
+            labels = labels[::-1]
+
         key = path.replace("/", self.separator)
-        attributes = {**self._around(dataset.parent), **own}
+        attributes = {**self._around(dataset.parent), **of_dataset}
         self.datasets[key] = Dataset(sides, dtype, labels, attributes)
 
     def _around(self, group: Any) -> dict[str, Any]:
         """Attributes of a group and those around it that may hold for the arrays within."""
         if group.name not in self._groups:
-            outer = {} if group.name == "/" else self._around(group.parent)
-            own = {name: value for name, value in _attributes(group) if name not in _OF_ARRAY}
-            self._groups[group.name] = {**outer, **own}
+            around: dict[str, Any] = {}
+            if group.name != "/":
+                around = self._around(group.parent)
+            of_group = {name: value for name, value in _attributes(group) if name not in _OF_ARRAY}
+            self._groups[group.name] = {**around, **of_group}
         return self._groups[group.name]
 
 
@@ -168,7 +186,10 @@ def _attributes(entry: Any) -> Iterator[tuple[str, Any]]:
 def _dtype(dataset: Any) -> np.dtype[Any]:
     import h5py
 
-    return np.dtype("U1") if h5py.check_string_dtype(dataset.dtype) else dataset.dtype
+    if h5py.check_string_dtype(dataset.dtype):
+        return np.dtype("U1")
+    dtype: np.dtype[Any] = dataset.dtype
+    return dtype
 
 
 def _label(axis: Any) -> str:

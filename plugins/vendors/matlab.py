@@ -16,7 +16,7 @@ from sparseskin.nodes.numerics.array_blocks import InflatedSection, Section, Sto
 from sparseskin.nodes.numerics.array_files import MAX_GROWN_BYTES, MAX_GROWTH, ArrayFileError
 from sparseskin.nodes.sensor.files.arrays import StoredArrays, refusing
 from sparseskin.nodes.sensor.files.dataset_recording import DatasetRecording
-from sparseskin.nodes.sensor.files.datasets import MAX_ARRAYS
+from sparseskin.nodes.sensor.files.datasets import MAX_ARRAYS, ArrayFile
 from sparseskin.nodes.sensor.files.recording import File
 
 from .hdf5 import Hdf5File, is_hdf5
@@ -30,14 +30,30 @@ _INT8 = 1
 _INT32 = 5
 _UINT32 = 6
 _STORED = {
-    **{1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4"},
-    **{7: "f4", 9: "f8", 12: "i8", 13: "u8"},
+    1: "i1",
+    2: "u1",
+    3: "i2",
+    4: "u2",
+    5: "i4",
+    6: "u4",
+    7: "f4",
+    9: "f8",
+    12: "i8",
+    13: "u8",
 }
 """Types of the numbers as they stand in the file; whole float64 numbers stand there as integers."""
 _STRUCT = 2
 _CLASSES = {
-    **{6: "f8", 7: "f4", 8: "i1", 9: "u1", 10: "i2", 11: "u2"},
-    **{12: "i4", 13: "u4", 14: "i8", 15: "u8"},
+    6: "f8",
+    7: "f4",
+    8: "i1",
+    9: "u1",
+    10: "i2",
+    11: "u2",
+    12: "i4",
+    13: "u4",
+    14: "i8",
+    15: "u8",
 }
 """Classes of arrays of numbers in MATLAB."""
 _COMPLEX = 0x0800
@@ -55,10 +71,15 @@ class MatlabRecording(DatasetRecording):
     """
 
     def __init__(self, file: File) -> None:
+        # Version 7.3 is HDF5 behind a block of 512 bytes.
         begin = file.file.read(_HEAD_BYTES + 512)
         file.file.seek(0)
-        is_new = is_hdf5(begin) or is_hdf5(begin[512:])
-        super().__init__(file, Hdf5File(file, is_matlab=True) if is_new else MatlabFile(file))
+        arrays: ArrayFile
+        if is_hdf5(begin) or is_hdf5(begin[512:]):
+            arrays = Hdf5File(file, is_matlab=True)
+        else:
+            arrays = MatlabFile(file)
+        super().__init__(file, arrays)
 
 
 class _Tag(NamedTuple):
@@ -101,7 +122,8 @@ class _Part:
             # A short one: its bytes, at most four, stand in place of their number.
             self.short = raw[4:]
             self.at -= 4
-            kind, n_bytes = kind & 0xFFFF, kind >> 16
+            n_bytes = kind >> 16
+            kind &= 0xFFFF
             if n_bytes > 4:
                 raise ArrayFileError("an array is malformed")
             return _Tag(kind, n_bytes, 4 - n_bytes)
@@ -118,8 +140,9 @@ class _Part:
 
     def numbers(self, kind: int, limit: int) -> tuple[int, ...]:
         raw = self.small(kind, 4 * limit)
+        n = len(raw) // 4
         letter = "i" if kind == _INT32 else "I"
-        return struct.unpack(f"{self.order}{len(raw) // 4}{letter}", raw[: len(raw) // 4 * 4])
+        return struct.unpack(f"{self.order}{n}{letter}", raw[: 4 * n])
 
 
 class MatlabFile(StoredArrays):
@@ -138,10 +161,11 @@ class MatlabFile(StoredArrays):
         n_bytes = self._file.seek(0, io.SEEK_END)
         self._limit = max(MAX_GROWN_BYTES, MAX_GROWTH * n_bytes)
         self._file.seek(0)
-        head = self._file.read(_HEAD_BYTES)
-        order = {b"IM": "<", b"MI": ">"}.get(head[126:])
+        heading = self._file.read(_HEAD_BYTES)
+        order = {b"IM": "<", b"MI": ">"}.get(heading[126:])
         if order is None:
             raise ArrayFileError("no MATLAB file of version 5 or later; save it with -v7")
+
         at = _HEAD_BYTES
         while at + 8 <= n_bytes and len(self.stored) < MAX_ARRAYS:
             self._file.seek(at)
@@ -172,6 +196,7 @@ class MatlabFile(StoredArrays):
             return
         if size > self._limit:
             raise ArrayFileError(f"an array would have {size} bytes; at most {self._limit}")
+
         end = part.at + size
         flags = part.numbers(_UINT32, 2)
         sides = part.numbers(_INT32, _MAX_AXES)
@@ -179,13 +204,16 @@ class MatlabFile(StoredArrays):
         path = path or name
         if not flags or min(sides, default=-1) < 0:
             raise ArrayFileError("an array is malformed")
+
         kind = flags[0] & 0xFF
         if kind == _STRUCT and math.prod(sides) == 1 and depth < _MAX_DEPTH:
             self._add_fields(part, path, can_seek, depth)
         elif kind in _CLASSES:
             self._add_numbers(part, path, flags[0], sides, can_seek)
+
         # Within a structure others follow.
-        part.skip(end - part.at if depth else 0)
+        if depth:
+            part.skip(end - part.at)
 
     def _add_fields(self, part: _Part, path: str, can_seek: bool, depth: int) -> None:
         (length,) = part.numbers(_INT32, 1)
@@ -209,9 +237,10 @@ class MatlabFile(StoredArrays):
             raise ArrayFileError("numbers of an unknown type")
         dtype = np.dtype(part.order + stored)
         n_bytes = math.prod(sides) * dtype.itemsize
+        # A length is believed once it agrees with the sides.
         if n_bytes != tag.n_bytes or n_bytes > self._limit:
-            listed = " x ".join(map(str, sides[:8]))
-            raise ArrayFileError(f"states {listed} numbers in {tag.n_bytes} bytes")
+            sides_text = " x ".join(map(str, sides[:8]))
+            raise ArrayFileError(f"states {sides_text} numbers in {tag.n_bytes} bytes")
         at = part.at
 
         @contextmanager
@@ -220,7 +249,11 @@ class MatlabFile(StoredArrays):
             _Part(part.open, stream, part.order).skip(at)
             yield stream
 
-        kind = "c16" if flags & _COMPLEX else _CLASSES[flags & 0xFF]
-        dtype_seen = np.dtype("?" if flags & _LOGICAL else kind)
+        kind = _CLASSES[flags & 0xFF]
+        if flags & _COMPLEX:
+            kind = "c16"
+        if flags & _LOGICAL:
+            kind = "?"
+        dtype_seen = np.dtype(kind)
         array = StoredArray(opened, dtype, sides, by_columns=True, can_seek=can_seek)
         self.add(path, array, dtype_seen)

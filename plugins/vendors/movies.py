@@ -39,7 +39,8 @@ def parse_reading(token: str, where: str, row: int, col: int) -> float:
 
 def parse_shape(rows: tuple[str, str], cols: tuple[str, str]) -> tuple[int, int]:
     """Read the sides of a grid, each a text and its place; SourceError if one is not allowed."""
-    n_rows, n_cols = (parse_whole(*side, 1, MAX_SIDE) for side in (rows, cols))
+    n_rows = parse_whole(*rows, 1, MAX_SIDE)
+    n_cols = parse_whole(*cols, 1, MAX_SIDE)
     check_grid(n_rows, n_cols, rows[1])
     return n_rows, n_cols
 
@@ -52,7 +53,7 @@ def read_cells(
     rows or cells are missing or too many, by the `keyword` of their number, or a reading is
     malformed.
     """
-    (n_rows, n_cols) = shape
+    n_rows, n_cols = shape
     label = f"frame {number}"
     readings = np.zeros(shape)
     exists = np.ones(shape, dtype=np.bool_)
@@ -64,11 +65,15 @@ def read_cells(
         cells = [cell.strip() for cell in line.split(",")]
         if not any(cells):
             continue
+
+        # A spreadsheet fills lines up with empty cells.
         where = f"{lines.where}, {label}"
         while len(cells) > n_cols and not cells[-1]:
             cells.pop()
         if len(cells) != n_cols:
             raise SourceError(f"{where}: row {row} has {len(cells)} cells, {keyword} is {n_cols}")
+
+        # A cell without a sensel reads 0.
         for col, token in enumerate(cells):
             if token.upper() == absent:
                 exists[row, col] = False
@@ -78,21 +83,21 @@ def read_cells(
     return readings, exists
 
 
-def check_mask(first: Mask, exists: Mask, number: int, where: str, what: str) -> None:
+def check_mask(first_exists: Mask, exists: Mask, number: int, where: str, what: str) -> None:
     """Raise SourceError if the cells of a frame that hold a sensel are others than the first's."""
-    if not np.array_equal(first, exists):
-        row, col = np.argwhere(first != exists)[0]
+    if not np.array_equal(first_exists, exists):
+        row, col = np.argwhere(first_exists != exists)[0]
         raise SourceError(
             f"{where}: frame {number} has its {what} cells (no sensel) elsewhere than the first "
             f"frame, e.g. at row {row}, column {col}; a mask must not change"
         )
 
 
-def check_number(number: int, wanted: int, where: str) -> None:
+def check_number(number: int, expected: int, where: str) -> None:
     """Raise SourceError if a frame does not follow the one before it."""
-    if number != wanted:
+    if number != expected:
         raise SourceError(
-            f"{where}: frame {number} comes where frame {wanted} should; a recording is one "
+            f"{where}: frame {number} comes where frame {expected} should; a recording is one "
             "measurement with no frame left out"
         )
 
@@ -103,15 +108,19 @@ def stamps(
     """Nanoseconds since the first frame; None if times, in s, are missing or repeated. SourceError
     if they fall, but for times of day at midnight.
     """
-    known = [time for time in times if time is not None]
-    if not known or len(known) != len(times):
+    times_stated = [time for time in times if time is not None]
+    if not times_stated or len(times_stated) != len(times):
         return None
-    if not all(abs(time) <= 1e9 for time in known):
+    if not all(abs(time) <= 1e9 for time in times_stated):
         raise SourceError(f"{name}: frame times lie outside 0..1e9 s")
-    found = [0]
-    days = 0
-    for before, time in pairwise(known):
+
+    stamps_ns = [0]
+    n_days = 0
+    for earlier, time in pairwise(times_stated):
         # From the last minutes of a day to the first ones of the next.
-        days += of_day and before - time > _DAY_S / 2
-        found.append(round((time - known[0] + days * _DAY_S) * 1e9))
-    return rising(found, name)
+        is_midnight = of_day and earlier - time > _DAY_S / 2
+        if is_midnight:
+            n_days += 1
+        seconds = time - times_stated[0] + n_days * _DAY_S
+        stamps_ns.append(round(seconds * 1e9))
+    return rising(stamps_ns, name)

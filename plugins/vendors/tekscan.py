@@ -40,8 +40,8 @@ Header = dict[str, tuple[str, str]]
 
 def is_tekscan(raw: bytes) -> bool:
     """True if the content has the keywords of a Tekscan header."""
-    head = raw[: 1 << 16].split(b"\n", _N_HEADER_LINES)[:_N_HEADER_LINES]
-    return any(line.lstrip().startswith((b"DATA_TYPE", b"ASCII_DATA")) for line in head)
+    header_lines = raw[: 1 << 16].split(b"\n", _N_HEADER_LINES)[:_N_HEADER_LINES]
+    return any(line.lstrip().startswith((b"DATA_TYPE", b"ASCII_DATA")) for line in header_lines)
 
 
 class TekscanRecording(WholeRecording):
@@ -58,12 +58,12 @@ class TekscanRecording(WholeRecording):
         super().__init__()
         self._lines = lines
         header, self._terminator = _parse_header(lines)
-        self._shape = parse_shape(*(_entry(header, side, lines.name) for side in ("ROWS", "COLS")))
+        rows = _entry(header, "ROWS", lines.name)
+        cols = _entry(header, "COLS", lines.name)
+        self._shape = parse_shape(rows, cols)
         self._unit, _ = _entry(header, "UNITS", lines.name)
-        self._number, self._last = (
-            parse_whole(*header[keyword], 0, LARGEST_NUMBER) if keyword in header else None
-            for keyword in ("START_FRAME", "END_FRAME")
-        )
+        self._number = _number_of(header, "START_FRAME")
+        self._last = _number_of(header, "END_FRAME")
         self._period_s = None
         if "SECONDS_PER_FRAME" in header:
             self._period_s = parse_number(*header["SECONDS_PER_FRAME"], 1e-9, 1e6)
@@ -78,6 +78,7 @@ class TekscanRecording(WholeRecording):
         while frame is not None:
             frames.append(frame)
             frame = self._next_frame()
+
         forces = stack_frames(frames, self._lines.name)
         mask = self._mask
         assert self._number is not None
@@ -86,10 +87,13 @@ class TekscanRecording(WholeRecording):
                 f"{self._lines.name}: the last frame is {self._number - 1}, "
                 f"but END_FRAME is {self._last}"
             )
+        rate_hz = None
+        if self._period_s is not None:
+            rate_hz = 1.0 / self._period_s
         return Parsed(
             forces=forces,
             unit=self._unit,
-            rate_hz=None if self._period_s is None else 1.0 / self._period_s,
+            rate_hz=rate_hz,
             stamp_ns=stamps(self._times, self._lines.name),
             pitch_m=self._pitch_m,
             mask=None if mask is None or mask.all() else mask,
@@ -103,25 +107,29 @@ class TekscanRecording(WholeRecording):
             if not line:
                 continue
             if self._terminator and line == self._terminator:
-                for rest in filter(None, (after.strip(", \t") for after in self._lines)):
-                    raise SourceError(
-                        f"{self._lines.where}: {shown(rest)} comes after the end mark "
-                        f"'{self._terminator}'"
-                    )
+                self._check_end()
                 return None
+
             match = _FRAME.match(line)
             if match is None:
                 raise SourceError(f"{where}: {shown(line)} stands where 'Frame N' should")
             number = parse_whole(match[1], where, 0, LARGEST_NUMBER)
-            check_number(number, number if self._number is None else self._number, where)
+            # Frames are numbered from that in the header on, or from any.
+            if self._number is not None:
+                check_number(number, self._number, where)
             self._number = number + 1
+
             frame, exists = read_cells(self._lines, self._shape, number, "COLS", "B")
-            self._mask = exists if self._mask is None else self._mask
+            if self._mask is None:
+                self._mask = exists
             check_mask(self._mask, exists, number, where, "'B'")
             if self._unit.lower() == "raw":
                 _check_raw_sum(line, float(frame.sum()), where, number)
-            stated = (match[2] or "").strip()
-            self._times.append(parse_number(match[2], where) if stated else None)
+
+            time_s = None
+            if (match[2] or "").strip():
+                time_s = parse_number(match[2], where)
+            self._times.append(time_s)
             return frame
         if self._terminator:
             raise SourceError(
@@ -129,6 +137,16 @@ class TekscanRecording(WholeRecording):
                 f"its end mark '{self._terminator}' is missing"
             )
         return None
+
+    def _check_end(self) -> None:
+        """Raise SourceError if a line that is not blank follows the end mark."""
+        for text in self._lines:
+            line = text.strip(", \t")
+            if line:
+                raise SourceError(
+                    f"{self._lines.where}: {shown(line)} comes after the end mark "
+                    f"'{self._terminator}'"
+                )
 
 
 def _parse_header(lines: Lines) -> tuple[Header, str]:
@@ -146,6 +164,13 @@ def _parse_header(lines: Lines) -> tuple[Header, str]:
         if keyword == "ASCII_DATA":
             return header, header[keyword][0]
     raise SourceError(f"{lines.name}: no line ASCII_DATA; not a Tekscan ASCII movie export")
+
+
+def _number_of(header: Header, keyword: str) -> int | None:
+    """The number of a frame; None if it is not stated."""
+    if keyword not in header:
+        return None
+    return parse_whole(*header[keyword], 0, LARGEST_NUMBER)
 
 
 def _entry(header: Header, keyword: str, name: str) -> tuple[str, str]:
@@ -168,15 +193,17 @@ def _pitch(header: Header) -> float | None:
         pitches.append(parse_number(value, where) * metres)
         if not 1e-6 <= pitches[-1] <= 10:
             raise SourceError(f"{where}: {shown(text)} is outside 0.001 mm..10 m")
-    return pitches[0] if pitches[0] == pitches[1] else None
+    if pitches[0] != pitches[1]:
+        return None
+    return pitches[0]
 
 
 def _check_raw_sum(line: str, total: float, where: str, number: int) -> None:
     match = _RAW_SUM.search(line)
     if match is None:
         return
-    stated = parse_number(match[1], where)
-    if abs(stated - total) > 0.5:
+    raw_sum = parse_number(match[1], where)
+    if abs(raw_sum - total) > 0.5:
         raise SourceError(
-            f"{where}: frame {number} states Raw Sum {stated:g}, but its cells add up to {total:g}"
+            f"{where}: frame {number} states Raw Sum {raw_sum:g}, but its cells add up to {total:g}"
         )

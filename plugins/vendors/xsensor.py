@@ -30,6 +30,10 @@ _AREA_ROUNDING = 0.02
 decimals of some 0.5 to 2 cm."""
 
 
+Entries = dict[str, tuple[str, str]]
+"""From a keyword to its value and its place in the file."""
+
+
 def is_xsensor(raw: bytes) -> bool:
     """True if the content begins as an export of XSENSOR does."""
     lines = raw[: 1 << 16].removeprefix(b"\xef\xbb\xbf").split(b"\n", _N_HEAD_LINES)
@@ -70,49 +74,57 @@ class XsensorRecording(WholeRecording):
         self._first = self._frame()
 
     def read(self) -> Parsed:
-        first = self._first
-        mask = self._first.exists
+        first_frame = self._first
+        mask = first_frame.exists
         name = self._lines.name
-        frames = [first]
-        while (number := self._next_number()) is not None:
+        frames = [first_frame]
+        number = self._next_number()
+        while number is not None:
             where = self._lines.where
             check_number(number, self._number + 1, where)
             self._number = number
+
             frame = self._frame()
-            (rows, cols) = frame.exists.shape
-            (n_rows, n_cols) = mask.shape
-            if (frame.sensor, rows, cols) != (first.sensor, n_rows, n_cols):
+            rows, cols = frame.exists.shape
+            n_rows, n_cols = mask.shape
+            if (frame.sensor, rows, cols) != (first_frame.sensor, n_rows, n_cols):
                 raise SourceError(
                     f"{where}: frame {number} is {rows} x {cols} of sensor {shown(frame.sensor)}, "
-                    f"the first one {n_rows} x {n_cols} of {shown(first.sensor)}"
+                    f"the first one {n_rows} x {n_cols} of {shown(first_frame.sensor)}"
                 )
             check_mask(mask, frame.exists, number, where, "empty")
             frames.append(frame)
+            number = self._next_number()
+
         forces = stack_frames([frame.readings for frame in frames], name)
-        if mask.all() and first.is_part:
+        # Where no cell is empty, those that never read a force have no sensel.
+        if mask.all() and first_frame.is_part:
             mask = forces.max(axis=0) > 0
         return Parsed(
             forces=forces,
             unit=self._unit,
             stamp_ns=stamps([frame.time_s for frame in frames], name, of_day=True),
-            pitch_m=first.pitch_m,
+            pitch_m=first_frame.pitch_m,
             mask=None if mask.all() or not mask.any() else mask,
         )
 
     def _next(self) -> tuple[str, str] | None:
         """First cell and rest of the next line that is not blank; None at the end."""
         for text in self._lines:
-            if line := text.rstrip(", \t"):
-                keyword, _, rest = line.partition(",")
-                return keyword.strip(), rest.strip(", \t")
+            line = text.rstrip(", \t")
+            if line:
+                keyword, _, value = line.partition(",")
+                return keyword.strip(), value.strip(", \t")
         return None
 
     def _header_unit(self) -> str:
         """Read to the first frame; return the unit of the readings."""
         unit = ""
-        while (entry := self._next()) is not None and entry[0] != "FRAME":
+        entry = self._next()
+        while entry is not None and entry[0] != "FRAME":
             if entry[0] == "Units:":
                 unit = entry[1]
+            entry = self._next()
         if entry is None:
             raise SourceError(f"{self._lines.name}: holds no line FRAME; not an export of frames")
         if not unit:
@@ -122,51 +134,75 @@ class XsensorRecording(WholeRecording):
 
     def _next_number(self) -> int | None:
         """Read to the next line FRAME, over further sensors and groups; return its number."""
-        while (entry := self._next()) is not None:
+        entry = self._next()
+        while entry is not None:
             if entry[0] == "FRAME":
                 return parse_whole(entry[1], self._lines.where, 0, LARGEST_NUMBER)
+            entry = self._next()
         return None
 
     def _frame(self) -> _Frame:
         """Read the first sensor of a frame."""
         number = self._number
         begin = self._lines.where
-        stated: dict[str, tuple[str, str]] = {}
-        while (entry := self._next()) is not None and entry[0] != "SENSELS":
-            if entry[0] in ("FRAME", "GROUP") or (entry[0] == "SENSOR" and "SENSOR" in stated):
-                entry = None
-                break
-            # "Peak Pressure (mmHg)": without its unit.
-            stated.setdefault(entry[0].partition(" (")[0], (entry[1], self._lines.where))
-        if entry is None:
-            raise SourceError(f"{begin}: frame {number} has no line SENSELS with readings")
+        entries = self._frame_entries(begin)
+        # What a frame must state; all else it may.
         for keyword in ("SENSOR", "Rows", "Columns"):
-            if keyword not in stated:
+            if keyword not in entries:
                 raise SourceError(f"{begin}: frame {number} states no {keyword}")
-        shape = parse_shape(stated["Rows"], stated["Columns"])
-        width_cm, height_cm, area_cm2 = (
-            parse_number(*stated[key], 1e-4, 1e6) if key in stated else math.nan
-            for key in ("Sensel Width", "Sensel Height", "Total Area")
-        )
+        shape = parse_shape(entries["Rows"], entries["Columns"])
+        width_cm = _number_or_nan(entries, "Sensel Width")
+        height_cm = _number_or_nan(entries, "Sensel Height")
+        area_cm2 = _number_or_nan(entries, "Total Area")
         pitch_m = width_cm / 100 if width_cm == height_cm else None
         # False where one is not stated.
         is_part = area_cm2 < (1 - _AREA_ROUNDING) * math.prod(shape) * width_cm * height_cm
-        time_s = _seconds(*stated["Time"]) if "Time" in stated else None
+        time_s = None
+        if "Time" in entries:
+            time_s = _seconds(*entries["Time"])
+
         readings, exists = read_cells(self._lines, shape, number, "Columns", absent="")
-        if "Peak Pressure" in stated:
-            peak = parse_number(*stated["Peak Pressure"])
+        if "Peak Pressure" in entries:
+            text, where = entries["Peak Pressure"]
+            peak = parse_number(text, where)
             if abs(peak - readings.max()) > _PEAK_ROUNDING:
                 raise SourceError(
-                    f"{stated['Peak Pressure'][1]}: frame {number} states a peak of {peak:g}, but "
-                    f"its largest reading is {readings.max():g}"
+                    f"{where}: frame {number} states a peak of {peak:g}, but its largest reading "
+                    f"is {readings.max():g}"
                 )
-        return _Frame(stated["SENSOR"][0], pitch_m, is_part, time_s, readings, exists)
+        sensor, _ = entries["SENSOR"]
+        return _Frame(sensor, pitch_m, is_part, time_s, readings, exists)
+
+    def _frame_entries(self, begin: str) -> Entries:
+        """Read what a frame, which begins at a place, states before its readings."""
+        entries: Entries = {}
+        entry = self._next()
+        while entry is not None and entry[0] != "SENSELS":
+            keyword, value = entry
+            is_next = keyword in ("FRAME", "GROUP")
+            if is_next or (keyword == "SENSOR" and "SENSOR" in entries):
+                entry = None
+                break
+            # "Peak Pressure (mmHg)": without its unit.
+            entries.setdefault(keyword.partition(" (")[0], (value, self._lines.where))
+            entry = self._next()
+        if entry is None:
+            raise SourceError(f"{begin}: frame {self._number} has no line SENSELS with readings")
+        return entries
+
+
+def _number_or_nan(entries: Entries, keyword: str) -> float:
+    """The number of an entry; NaN if it is not stated."""
+    if keyword not in entries:
+        return math.nan
+    return parse_number(*entries[keyword], 1e-4, 1e6)
 
 
 def _seconds(text: str, where: str) -> float:
     """Return a time of day, HH:MM:SS.mmm, in seconds."""
     match = _TIME.fullmatch(text)
-    hours, minutes, seconds = (float(part) for part in match.groups()) if match else (24, 0, 0)
-    if not (hours < 24 and minutes < 60 and seconds < 61):
-        raise SourceError(f"{where}: {shown(text)} is no time of day such as 08:21:17.982")
-    return 3600 * hours + 60 * minutes + seconds
+    if match is not None:
+        hours, minutes, seconds = (float(part) for part in match.groups())
+        if hours < 24 and minutes < 60 and seconds < 61:
+            return 3600 * hours + 60 * minutes + seconds
+    raise SourceError(f"{where}: {shown(text)} is no time of day such as 08:21:17.982")

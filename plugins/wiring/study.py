@@ -46,25 +46,37 @@ PRESET_ROWS = {"skin": ROTATING, "paper": PAPER}
 
 def run(out: Path, quick: bool, seed: int, executor: str) -> list[str]:
     """Compute the study, write its page and return its conclusion; see `command.Study`."""
-    seeds = range(seed, seed + (1 if quick else 3))
+    n_seeds = 1 if quick else 3
+    seeds = range(seed, seed + n_seeds)
     n_frames = QUICK_FRAMES if quick else N_FRAMES
     frames = frames_of(n_frames, quick)
     rows = unrefused(experiment(frames, seeds).run(out, executor))
     rows = rows.assign(body=named(rows), preset=rows["method"], kind=rows["phi"])
-    points = [{"seed": one} for one in seeds]
+
+    points = [{"seed": seed_of_point} for seed_of_point in seeds]
     wires = method_rows(points, compute(wiring, points, out, executor, "wires"), "kind")
     wires = wires.groupby("kind", sort=False).mean(numeric_only=True).drop(columns="seed")
     rows = rows.join(wires, on="kind")
-    best = rows[rows["kind"] == SCRAMBLED].set_index(["preset", "body", "seed"])["mean_db"]
+
+    # Loss against sums over the whole skin, of the same preset, body and seed.
+    db_of_scrambled = rows[rows["kind"] == SCRAMBLED].set_index(["preset", "body", "seed"])[
+        "mean_db"
+    ]
     keys = pd.MultiIndex.from_frame(rows[["preset", "body", "seed"]])
-    rows["loss_db"] = best.loc[keys].to_numpy() - rows["mean_db"].to_numpy()
+    rows["loss_db"] = db_of_scrambled.loc[keys].to_numpy() - rows["mean_db"].to_numpy()
+
     page = Page(out, "wiring", Path(__file__).with_suffix(".md"), quick)
     page.section(
         "",
         _table(rows),
-        **{"n_rows": SHAPE[0], "n_cols": SHAPE[1], "n": math.prod(SHAPE), "ratio": RATIO},
-        **{"m": m_of(math.prod(SHAPE), RATIO, ROTATING), "n_frames": n_frames},
-        **{"n_seeds": len(seeds), "scenes": ", ".join(rows["body"].unique())},
+        n_rows=SHAPE[0],
+        n_cols=SHAPE[1],
+        n=math.prod(SHAPE),
+        ratio=RATIO,
+        m=m_of(math.prod(SHAPE), RATIO, ROTATING),
+        n_frames=n_frames,
+        n_seeds=n_seeds,
+        scenes=", ".join(rows["body"].unique()),
     )
     page.csv("wiring", rows.drop(columns="method"))
     lines = conclusion(rows)
@@ -78,16 +90,19 @@ def frames_of(n_frames: int, quick: bool) -> list[Frames]:
     frames: list[Frames] = [
         PressFrames(body, SHAPE, N_BEFORE + n_frames, skip=skip) for body in BODIES
     ]
+    if quick:
+        return frames
+
     contact, _ = next(SceneFrames(DRAG, 0).windows(0))
-    first = DRAG_FIRST - contact
-    drag = SceneFrames(DRAG, first, first + n_frames * DRAG_EVERY, DRAG_EVERY)
-    return frames if quick else [*frames, drag]
+    first_frame = DRAG_FIRST - contact
+    drag = SceneFrames(DRAG, first_frame, first_frame + n_frames * DRAG_EVERY, DRAG_EVERY)
+    return [*frames, drag]
 
 
 def named(rows: pd.DataFrame) -> pd.Series:
     """Body or scene of each row."""
-    known = rows.reindex(columns=["body", "scene"])
-    return known["body"].fillna(known["scene"])
+    names = rows.reindex(columns=["body", "scene"])
+    return names["body"].fillna(names["scene"])
 
 
 def experiment(frames: list[Frames], seeds: range) -> Experiment:
@@ -103,18 +118,21 @@ def experiment(frames: list[Frames], seeds: range) -> Experiment:
 
 def conclusion(rows: pd.DataFrame) -> list[str]:
     """Loss and length of wires of other kinds against rows over the whole skin, default solver."""
-    some = rows[rows["preset"] == "skin"].groupby("kind")[["loss_db", "length"]].mean()
-    whole = some.loc[SCRAMBLED, "length"]
+    mean = rows[rows["preset"] == "skin"].groupby("kind")[["loss_db", "length"]].mean()
+    whole_length = mean.loc[SCRAMBLED, "length"]
     texts = {
         LOCAL[0]: f"Rows over neighbourhoods ({LOCAL[0]})",
         ROW_LOCAL: "Rows within the rows of an array",
         SINGLE: "Single taxels",
     }
-    return [
-        f"{text}: {100 * some.loc[kind, 'length'] / whole:.0f} % of the length of the wires of "
-        f"rows over the whole skin, for {some.loc[kind, 'loss_db']:.1f} dB."
-        for kind, text in texts.items()
-    ]
+    lines = []
+    for kind, text in texts.items():
+        percent = 100 * mean.loc[kind, "length"] / whole_length
+        lines.append(
+            f"{text}: {percent:.0f} % of the length of the wires of rows over the whole skin, "
+            f"for {mean.loc[kind, 'loss_db']:.1f} dB."
+        )
+    return lines
 
 
 def wiring(point: dict[str, Any]) -> dict[str, Any]:
@@ -122,13 +140,13 @@ def wiring(point: dict[str, Any]) -> dict[str, Any]:
     n = math.prod(SHAPE)
     exists = np.ones(SHAPE, dtype=np.bool_)
     m = m_of(n, RATIO, ROTATING)
-    found: dict[str, Wiring] = {kind: array_wiring(*SHAPE, m) for kind in (ROW_LOCAL, SINGLE)}
+    wiring_of_kind = {kind: array_wiring(*SHAPE, m) for kind in (ROW_LOCAL, SINGLE)}
     for kind in (*LOCAL, SCRAMBLED):
         phi = make_phi(kind, n, m, point["seed"], BLOCK)
         phi.lay_out(exists)
         assert isinstance(phi, SbhePhi)
-        found[kind] = sbhe_wiring(phi, exists)
-    return {"methods": {kind: vars(one) for kind, one in found.items()}}
+        wiring_of_kind[kind] = sbhe_wiring(phi, exists)
+    return {"methods": {kind: vars(wires) for kind, wires in wiring_of_kind.items()}}
 
 
 def _table(rows: pd.DataFrame) -> str:
@@ -136,19 +154,25 @@ def _table(rows: pd.DataFrame) -> str:
     table = by_kind[["length", "crossings", "lines", "conversions"]].first()
     table["lines"] /= math.prod(SHAPE)
     table.insert(0, "kind", table.index)
+    # Mean, loss and the range of the losses with each preset.
     for preset in PRESET_ROWS:
-        some = rows[rows["preset"] == preset].groupby("kind", sort=False)
-        table[f"{preset}: mean dB"] = some["mean_db"].mean()
-        table[f"{preset}: loss, dB"] = some["loss_db"].mean()
+        of_preset = rows[rows["preset"] == preset].groupby("kind", sort=False)
+        table[f"{preset}: mean dB"] = of_preset["mean_db"].mean()
+        table[f"{preset}: loss, dB"] = of_preset["loss_db"].mean()
         table[f"{preset}: loss, least .. most"] = [
-            f"{part['loss_db'].min():.1f} .. {part['loss_db'].max():.1f}" for _, part in some
+            f"{rows_of_kind['loss_db'].min():.1f} .. {rows_of_kind['loss_db'].max():.1f}"
+            for _, rows_of_kind in of_preset
         ]
     names = {"length": "length, pitches", "lines": "wires a taxel"}
     forms = {
-        **{"length, pitches": ",.0f", "crossings": ",.0f", "wires a taxel": ".3f"},
-        **{"conversions": ".0f"},
-        **{f"{preset}: {what} dB": ".1f" for preset in PRESET_ROWS for what in ("mean", "loss,")},
+        "length, pitches": ",.0f",
+        "crossings": ",.0f",
+        "wires a taxel": ".3f",
+        "conversions": ".0f",
     }
+    for preset in PRESET_ROWS:
+        forms[f"{preset}: mean dB"] = ".1f"
+        forms[f"{preset}: loss, dB"] = ".1f"
     return markdown(table.rename(columns=names), forms)
 
 
@@ -174,15 +198,19 @@ def star_wiring(groups: list[Indices], cells: Indices, n_cols: int, conversions:
     taxel, intp (n,), row r and column c being r n_cols + c.
     """
     places = np.stack(np.divmod(cells, n_cols), axis=1).astype(np.float64)
+    begins = places[np.concatenate(groups)]
+
+    # The amplifier of each wire, and its group.
     sizes = [len(group) for group in groups]
-    a = places[np.concatenate(groups)]
-    medians = np.repeat([np.median(places[group], axis=0) for group in groups], sizes, axis=0)
+    amplifiers = [np.median(places[group], axis=0) for group in groups]
+    medians = np.repeat(amplifiers, sizes, axis=0)
+    group_of = np.repeat(np.arange(len(groups)), sizes)
     # Not on a grid point, so that no wire runs through the begin of another.
     ends = medians + _OFF_GRID
     return Wiring(
-        lines=len(a),
-        crossings=count_crossings(a, ends, np.repeat(np.arange(len(groups)), sizes)),
-        length=float(np.abs(a - medians).sum()),
+        lines=len(begins),
+        crossings=count_crossings(begins, ends, group_of),
+        length=float(np.abs(begins - medians).sum()),
         conversions=conversions,
     )
 
@@ -211,12 +239,14 @@ def count_crossings(
         part = slice(k, k + _CHUNK)
         p = begins[part, None]
         q = ends[part, None]
-        first = np.arange(k, k + len(begins[part]))
-        of_both = (_side(p, q, begins) * _side(p, q, ends) < 0) & (
-            _side(begins, ends, p) * _side(begins, ends, q) < 0
-        )
-        later = np.arange(len(begins)) > first[:, None]
-        total += int((of_both & later & (group_of[part, None] != group_of)).sum())
+        parts_them = _side(p, q, begins) * _side(p, q, ends) < 0
+        is_parted = _side(begins, ends, p) * _side(begins, ends, q) < 0
+
+        # Each pair once.
+        numbers = np.arange(k, k + len(begins[part]))
+        is_later = np.arange(len(begins)) > numbers[:, None]
+        differ = group_of[part, None] != group_of
+        total += int((parts_them & is_parted & is_later & differ).sum())
     return total
 
 

@@ -67,21 +67,24 @@ def export_zarr(
         raise BagError(f"--side {side}: allowed are {' and '.join(SIDES)}")
     if not NO_AREA <= area <= 10**6:
         raise BagError(f"--area: {area} is outside {NO_AREA}..{10**6}")
-    wanted = _wanted(bags[0], topics)
-    names = _names(wanted, side)
+
+    topics = _topics_of(bags[0], topics)
+    names = _names(topics, side)
     with whole_folder(out):
         for folder in (out, out / "data", out / "meta"):
             folder.mkdir(exist_ok=True)
             _write_json(folder / GROUP, {"zarr_format": 2})
+
         times = _Rows(out / "data/timestamps", np.dtype("<f8"), ())
         rows: dict[str, _Rows] = {}
         ends = []
         for bag in bags:
-            n_before = times.n
-            _add_episode(bag, wanted, times, rows, out / "data", names)
-            if times.n == n_before:
-                raise BagError(f"{bag.path}: no frame has one of each topic: {', '.join(wanted)}")
+            n_earlier = times.n
+            _add_episode(bag, topics, times, rows, out / "data", names)
+            if times.n == n_earlier:
+                raise BagError(f"{bag.path}: no frame has one of each topic: {', '.join(topics)}")
             ends.append(times.n)
+
         times.finish({"units": "s"})
         for topic, column in rows.items():
             column.finish(_attributes(bags[0], patch_of(topic)))
@@ -90,27 +93,33 @@ def export_zarr(
         return sorted(path for path in out.rglob("*") if path.is_file())
 
 
-def _wanted(bag: BagReader, topics: Iterable[str] | None) -> list[str]:
+def _topics_of(bag: BagReader, topics: Iterable[str] | None) -> list[str]:
     """Topics of frames of one shape."""
     schemas = (Reconstruction.schema, Taxels.schema)
     if topics is not None:
         return frame_topics(bag, topics, schemas)
-    found = frame_topics(bag, None, schemas)
-    reconstructed = [topic for topic in found if split_topic(topic)[1] == Reconstruction.schema]
-    return reconstructed or found
+    topics_found = frame_topics(bag, None, schemas)
+    reconstructed = []
+    for topic in topics_found:
+        _, schema = split_topic(topic)
+        if schema == Reconstruction.schema:
+            reconstructed.append(topic)
+    return reconstructed or topics_found
 
 
 def _names(topics: Sequence[str], side: str) -> dict[str, tuple[str, str]]:
     """Side and group of each topic."""
     names = {}
     patches = [patch_of(topic) for topic in topics]
+    # The words of a patch, skin_left, may have its side.
     for topic, patch in zip(topics, patches, strict=True):
         words = patch.split("_")
-        stated = [word for word in words if word in SIDES]
+        sides_in_name = [word for word in words if word in SIDES]
         if patches.count(patch) > 1:
             words.append(split_topic(topic)[1])
         group = "_".join(word for word in words if word not in SIDES) or "skin"
-        names[topic] = (stated[0] if len(stated) == 1 else side, group)
+        side_of_topic = sides_in_name[0] if len(sides_in_name) == 1 else side
+        names[topic] = (side_of_topic, group)
     if len({*names.values()}) < len(names):
         raise BagError(f"the patches of {', '.join(topics)} would have one name; state --topics")
     return names
@@ -133,15 +142,17 @@ def _add_episode(
         newest[message.topic] = frame
         if message.topic != topics[0] or len(newest) < len(topics):
             continue
+
+        # A row: the newest frame of each topic.
         times.add(np.float64(message.stamp_ns / 1e9))
         for topic in topics:
-            sides = (1, *newest[topic].shape)
+            shape = (1, *newest[topic].shape)
             if topic not in rows:
                 side, group = names[topic]
                 path = folder / f"{side}_tactile_data_{group}"
-                rows[topic] = _Rows(path, np.dtype("<f4"), sides)
-            if rows[topic].sides != sides:
-                shapes = f"frames of {sides[1:]} after some of {rows[topic].sides[1:]}"
+                rows[topic] = _Rows(path, np.dtype("<f4"), shape)
+            if rows[topic].sides != shape:
+                shapes = f"frames of {shape[1:]} after some of {rows[topic].sides[1:]}"
                 raise BagError(f"{bag.path}: {topic}, stamp {message.stamp_ns}: {shapes}")
             rows[topic].add(newest[topic])
 
@@ -167,6 +178,7 @@ class _Rows:
 
     def finish(self, attributes: dict[str, Any]) -> None:
         """Write the last chunk and what states the array."""
+        # The rest of the last chunk is written, too.
         if self.n % len(self._chunk):
             self._chunk[self.n % len(self._chunk) :] = 0
             self._write()
@@ -175,9 +187,8 @@ class _Rows:
 
     def _write(self) -> None:
         number = (self.n - 1) // len(self._chunk)
-        _write_chunk(
-            self._folder / ".".join(map(str, (number, *(0 for _ in self.sides)))), self._chunk
-        )
+        place = (number, *[0] * len(self.sides))
+        _write_chunk(self._folder / ".".join(map(str, place)), self._chunk)
 
 
 def _write_constants(folder: Path, name: tuple[str, str], n: int, topic: str, area: int) -> None:
@@ -198,7 +209,10 @@ def _attributes(bag: BagReader, patch: str) -> dict[str, Any]:
     if skin.pitch_m:
         attributes["pitch_m"] = skin.pitch_m
     if skin.mask is not None:
-        attributes["mask"] = ["".join("01"[int(cell)] for cell in row) for row in skin.mask]
+        rows = []
+        for row in skin.mask:
+            rows.append("".join("1" if exists else "0" for exists in row))
+        attributes["mask"] = rows
     return attributes
 
 
@@ -209,13 +223,16 @@ def _write_whole(folder: Path, array: npt.NDArray[Any]) -> None:
 
 
 def _write_head(folder: Path, sides: tuple[int, ...], chunk: npt.NDArray[Any]) -> None:
+    fill_value: int | str = ""
+    if chunk.dtype.kind in "if":
+        fill_value = 0
     head = {
         "zarr_format": 2,
         "shape": sides,
         "chunks": chunk.shape,
         "dtype": chunk.dtype.newbyteorder("<").str,
         "compressor": {"id": "zstd", "level": LEVEL},
-        "fill_value": 0 if chunk.dtype.kind in "if" else "",
+        "fill_value": fill_value,
         "order": "C",
         "filters": None,
     }

@@ -60,10 +60,15 @@ class ZarrRecording(DatasetRecording):
 
     def __init__(self, file: File) -> None:
         arrays = ZarrFolder(Path(file.name).parent)
-        stated = EPISODE_TOPIC.fullmatch(file.layout.topic)
-        topic = stated[1] if stated else file.layout.topic
-        arrays.choose_episode(int(stated[2]) if stated else None, topic)
-        super().__init__(replace(file, layout=file.layout.stating({"topic": topic})), arrays)
+        match = EPISODE_TOPIC.fullmatch(file.layout.topic)
+        topic = file.layout.topic
+        episode = None
+        if match:
+            topic = match[1]
+            episode = int(match[2])
+        arrays.choose_episode(episode, topic)
+        layout = file.layout.stating({"topic": topic})
+        super().__init__(replace(file, layout=layout), arrays)
 
 
 @dataclass(frozen=True)
@@ -106,6 +111,7 @@ class ZarrFolder(ArrayFile):
                     f"{self.name}: topic: states episode {number}, but there are none"
                 )
             return
+
         numbers = self.property_array(EPISODES)
         if numbers.dtype.kind not in "iu":
             raise SourceError(f"{self.where(EPISODES)}: expected whole numbers")
@@ -118,15 +124,17 @@ class ZarrFolder(ArrayFile):
             fault = f"holds {n} episodes, which is not stated: {ways}; arrays: {names}"
             raise UnstatedError(f"{self.name}: {fault}")
         number = number or 0
-        if not number < n or not ends[number] < ends[number + 1]:
+        if number >= n or ends[number] >= ends[number + 1]:
             raise SourceError(f"{self.name}: topic: no episode {number}; it holds {n}")
+
+        # Arrays of another length are not cut: nothing states their part of the episode.
         self._frames = range(ends[number], ends[number + 1])
         self.notes = (f"episode {number} of {n}",)
         for key, dataset in [*self.datasets.items()]:
             if key.startswith("meta/"):
                 continue
             if dataset.sides[:1] != (ends[-1],):
-                del self.datasets[key]  # nothing states its part of the episode
+                del self.datasets[key]
                 continue
             sides = (len(self._frames), *dataset.sides[1:])
             self.datasets[key] = replace(dataset, sides=sides)
@@ -136,20 +144,25 @@ class ZarrFolder(ArrayFile):
         if not stored.sides:
             return self._part(key, ())
         blocks = list(self.blocks(key, 0, max(1, stored.sides[0])))
-        return np.concatenate(blocks) if blocks else np.empty(stored.sides, stored.dtype)
+        if not blocks:
+            return np.empty(stored.sides, stored.dtype)
+        return np.concatenate(blocks)
 
     def blocks(self, key: str, axis: int, size: int) -> Iterator[npt.NDArray[Any]]:
         stored = self._stored[key]
+        entries = range(stored.sides[axis])
         is_cut = self.datasets[key].sides != stored.sides and axis == 0
-        entries = self._frames if is_cut else range(stored.sides[axis])
+        if is_cut:
+            entries = self._frames
+        self._check_sizes(key, axis)
+
+        # Begins of parts are those of chunks, so that each chunk is read once.
         length = stored.chunks[axis]
         step = max(1, size // length) * length
-        self._check_sizes(key, axis)
-        # Begins of parts are those of chunks, so that each chunk is read once.
         for begin in range(entries.start // length * length, entries.stop, step):
-            wanted = range(max(begin, entries.start), min(begin + step, entries.stop))
+            entries_read = range(max(begin, entries.start), min(begin + step, entries.stop))
             ranges = [range(side) for side in stored.sides]
-            ranges[axis] = wanted
+            ranges[axis] = entries_read
             yield np.moveaxis(self._part(key, tuple(ranges)), axis, 0)
 
     def _check_sizes(self, key: str, axis: int) -> None:
@@ -159,21 +172,24 @@ class ZarrFolder(ArrayFile):
         stored = self._stored[key]
         length = stored.chunks[axis]
         n_entries = max(1, stored.sides[axis])
-        row_bytes = math.prod(stored.sides) // n_entries * stored.dtype.itemsize * length
+        n_bytes = math.prod(stored.sides) * stored.dtype.itemsize
+
+        # Of the chunks that are read together.
+        row_bytes = n_bytes // n_entries * length
         sides = zip(stored.sides, stored.chunks, strict=True)
-        n_chunks = math.prod(-(-side // chunk) for side, chunk in sides) // -(-n_entries // length)
+        n_all_chunks = math.prod(-(-side // chunk) for side, chunk in sides)
+        n_chunks = n_all_chunks // -(-n_entries // length)
         if max(row_bytes, stored.chunk_bytes) > MAX_CHUNK_BYTES or n_chunks > MAX_CHUNKS:
             fault = (
                 f"{n_chunks} chunks of {length} entries of axis {axis + 1} need {row_bytes} bytes"
             )
             allowed = f"at most {MAX_CHUNKS} of {MAX_CHUNK_BYTES} bytes together"
             raise SourceError(f"{self.where(key)}: {fault}; {allowed}")
-        n_files_bytes = sum(
-            os.lstat(os.path.join(folder, name)).st_size
-            for folder, _, names in os.walk(stored.folder)
-            for name in names
-        )
-        n_bytes = math.prod(stored.sides) * stored.dtype.itemsize
+
+        n_files_bytes = 0
+        for folder, _, names in os.walk(stored.folder):
+            for name in names:
+                n_files_bytes += os.lstat(os.path.join(folder, name)).st_size
         limit = max(MAX_GROWN_BYTES, MAX_GROWTH * n_files_bytes)
         if n_bytes > limit:
             fault = f"would have {n_bytes} bytes, of files of {n_files_bytes}"
@@ -183,31 +199,37 @@ class ZarrFolder(ArrayFile):
         """The numbers of an array in a range of each axis."""
         stored = self._stored[key]
         part = np.full([len(span) for span in ranges], stored.fill, stored.dtype)
-        numbers = [
-            range(span.start // side, -(-span.stop // side)) if span else range(0)
-            for span, side in zip(ranges, stored.chunks, strict=True)
-        ]
+        # Numbers of the chunks along each axis.
+        numbers = []
+        for span, side in zip(ranges, stored.chunks, strict=True):
+            of_axis = range(0)
+            if span:
+                of_axis = range(span.start // side, -(-span.stop // side))
+            numbers.append(of_axis)
+
         for place in itertools.product(*numbers):
             chunk = self._chunk(key, place)
             if chunk is None:
                 continue
-            to: list[slice] = []
-            of: list[slice] = []
+
+            # What the chunk and the part have in common.
+            places_in_part: list[slice] = []
+            places_in_chunk: list[slice] = []
             for at, span, side in zip(place, ranges, stored.chunks, strict=True):
-                first = max(span.start, at * side)
-                last = min(span.stop, (at + 1) * side)
-                to.append(slice(first - span.start, last - span.start))
-                of.append(slice(first - at * side, last - at * side))
-            part[tuple(to)] = chunk[tuple(of)]
+                begin = at * side
+                start = max(span.start, begin)
+                stop = min(span.stop, begin + side)
+                places_in_part.append(slice(start - span.start, stop - span.start))
+                places_in_chunk.append(slice(start - begin, stop - begin))
+            part[tuple(places_in_part)] = chunk[tuple(places_in_chunk)]
         return part
 
     def _chunk(self, key: str, place: tuple[int, ...]) -> npt.NDArray[Any] | None:
         """One chunk; None where its numbers are those that fill the array."""
         stored = self._stored[key]
         name = stored.separator.join(map(str, place)) or "0"
-        raw = _file_bytes(
-            stored.folder / name, stored.chunk_bytes + MAX_JSON_BYTES, self.where(key)
-        )
+        limit = stored.chunk_bytes + MAX_JSON_BYTES
+        raw = _file_bytes(stored.folder / name, limit, self.where(key))
         if raw is None:
             return None
         try:
@@ -218,8 +240,11 @@ class ZarrFolder(ArrayFile):
         if len(plain) != stored.chunk_bytes:
             fault = f"chunk {name} has {len(plain)} bytes in place of {stored.chunk_bytes}"
             raise SourceError(f"{self.where(key)}: {fault}")
+
         flat = np.frombuffer(plain, stored.dtype)
-        return flat.reshape(stored.chunks, order="F" if stored.order == "F" else "C")
+        if stored.order == "F":
+            return flat.reshape(stored.chunks, order="F")
+        return flat.reshape(stored.chunks)
 
     def _tactile(self) -> list[str]:
         return [key for key in self.datasets if SENSORS.search(key)]
@@ -228,60 +253,79 @@ class ZarrFolder(ArrayFile):
         """Add an array; one of objects, or with filters, is listed and cannot be read."""
         where = self.where(path)
         head = _json(folder / path / ARRAY, where) or {}
+        # An array of objects is listed too, as one that cannot be read.
         try:
             sides = tuple(map(int, head["shape"]))
             chunks = tuple(map(int, head["chunks"]))
             text = head["dtype"]
-            is_plain = isinstance(text, str) and not head.get("filters")
-            dtype = np.dtype(text) if is_plain else np.dtype(object)
+            dtype = np.dtype(object)
+            if isinstance(text, str) and not head.get("filters"):
+                dtype = np.dtype(text)
             codec = head.get("compressor")
             fill = head.get("fill_value")
             order = str(head.get("order", "C"))
             separator = str(head.get("dimension_separator", "."))
         except (KeyError, TypeError, ValueError) as error:
             raise SourceError(f"{where}: {ARRAY} is malformed ({error!r})") from error
-        is_sound = len(sides) == len(chunks) <= MAX_AXES and all(0 <= n < 1 << 48 for n in sides)
-        if not is_sound or min(chunks, default=1) < 1 or separator not in (".", "/"):
+        is_sound = (
+            len(sides) == len(chunks) <= MAX_AXES
+            and all(0 <= side < 1 << 48 for side in sides)
+            and min(chunks, default=1) >= 1
+            and separator in (".", "/")
+        )
+        if not is_sound:
             raise SourceError(f"{where}: {ARRAY} is malformed")
         fill = 0 if fill is None or dtype.kind not in "iufb" else _fill(fill, where)
         self._stored[path] = _Stored(
             folder / path, dtype, sides, chunks, codec, fill, order, separator
         )
-        stated = attributes.get(LABELS)
-        names: dict[int, tuple[str, ...]] = {}
+
         labels: tuple[str, ...] = ()
-        if isinstance(stated, list) and len(stated) == len(sides):
-            labels = tuple(map(str, stated))
+        names: dict[int, tuple[str, ...]] = {}
+        axis_names = attributes.get(LABELS)
+        if isinstance(axis_names, list) and len(axis_names) == len(sides):
+            labels = tuple(map(str, axis_names))
         if SENSORS.search(path) and len(sides) > 1 and not labels:
-            labels = ("frames", *("",) * (len(sides) - 1))
-            if len(sides) > 3:
-                # One of several sensors is read, as a channel is.
-                labels = ("frames", "channel", *labels[2:])
-                names = {1: tuple(f"sensor{k}" for k in range(min(sides[1], MAX_ARRAYS)))}
+            labels, names = _tactile_axes(sides)
         self.datasets[path] = Dataset(sides, dtype, labels, attributes, names)
 
 
+def _tactile_axes(sides: tuple[int, ...]) -> tuple[tuple[str, ...], dict[int, tuple[str, ...]]]:
+    """Labels of the axes of an array of the tactile datasets, which state none, and names of the
+    entries of some.
+    """
+    if len(sides) <= 3:
+        return ("frames", *[""] * (len(sides) - 1)), {}
+
+    # One of several sensors is read, as a channel is.
+    labels = ("frames", "channel", *[""] * (len(sides) - 2))
+    n_sensors = min(sides[1], MAX_ARRAYS)
+    return labels, {1: tuple(f"sensor{k}" for k in range(n_sensors))}
+
+
 def _arrays_of(
-    folder: Path, path: str, around: dict[str, Any], where: str
+    folder: Path, path: str, outer: dict[str, Any], where: str
 ) -> Iterator[tuple[str, dict[str, Any]]]:
     """Paths of the arrays in a folder, and attributes of themselves and the groups around them."""
-    here = folder / path
-    own = _json(here / ATTRIBUTES, where) or {}
-    attributes = {**around, **{str(name).lower(): value for name, value in own.items()}, **own}
-    if (here / ARRAY).is_file():
+    group = folder / path
+    attributes_here = _json(group / ATTRIBUTES, where) or {}
+    in_small_letters = {str(name).lower(): value for name, value in attributes_here.items()}
+    attributes = {**outer, **in_small_letters, **attributes_here}
+    if (group / ARRAY).is_file():
         yield path, attributes
         return
     if path.count("/") >= MAX_DEPTH:
         return
-    if (here / NEW).is_file():
+    if (group / NEW).is_file():
         fault = "is of Zarr format 3; allowed is format 2, as zarr_format=2 writes it"
         raise SourceError(f"{where}: {fault}")
-    with os.scandir(here) as entries:
-        names = sorted(
-            entry.name for entry in itertools.islice(entries, MAX_ARRAYS) if _is_folder(entry)
-        )
+
+    with os.scandir(group) as entries:
+        few = itertools.islice(entries, MAX_ARRAYS)
+        names = sorted(entry.name for entry in few if _is_folder(entry))
     for name in names:
-        yield from _arrays_of(folder, f"{path}/{name}" if path else name, attributes, where)
+        inner = f"{path}/{name}" if path else name
+        yield from _arrays_of(folder, inner, attributes, where)
 
 
 def _is_folder(entry: os.DirEntry[str]) -> bool:
@@ -297,9 +341,9 @@ def _file_bytes(path: Path, limit: int, where: str) -> bytes | None:
     except FileNotFoundError:
         return None
     except OSError as error:
-        raise SourceError(
-            f"{where}: {shown(path.name)}: cannot be read ({error.strerror})"
-        ) from error
+        fault = f"cannot be read ({error.strerror})"
+        raise SourceError(f"{where}: {shown(path.name)}: {fault}") from error
+
     with open(descriptor, "rb") as file:
         raw = file.read(limit + 1)
     if len(raw) > limit:
@@ -322,9 +366,9 @@ def _json(path: Path, where: str) -> dict[str, Any] | None:
 
 def _fill(value: Any, where: str) -> float | int | bool:
     """The number of places that are not stored."""
-    named = {"NaN": math.nan, "Infinity": math.inf, "-Infinity": -math.inf}
-    if isinstance(value, str) and value in named:
-        return named[value]
+    values = {"NaN": math.nan, "Infinity": math.inf, "-Infinity": -math.inf}
+    if isinstance(value, str) and value in values:
+        return values[value]
     if isinstance(value, int | float):
         return value
     raise SourceError(f"{where}: fill_value {shown(value)} is no number")
@@ -335,26 +379,32 @@ def _decoded(codec: dict[str, Any] | None, raw: bytes, n_bytes: int) -> bytes:
     error at malformed ones.
     """
     kind = codec.get("id") if isinstance(codec, dict) else codec
+    # One byte more than expected shows that there are too many.
     if kind is None:
         return raw
     if kind in ("zlib", "gzip"):
         return zlib.decompressobj(zlib.MAX_WBITS | 32).decompress(raw, n_bytes + 1)
     if kind == "zstd":
-        stated = zstandard.frame_content_size(raw)
-        if stated not in (-1, n_bytes):
+        n_stated = zstandard.frame_content_size(raw)
+        if n_stated not in (-1, n_bytes):
             return b""
         return zstandard.ZstdDecompressor().decompress(raw, max_output_size=n_bytes)
     if kind == "lz4":
-        (stated,) = struct.unpack_from("<I", raw)  # before the block, as numcodecs writes it
-        return lz4.block.decompress(raw) if stated == n_bytes else b""
+        (n_stated,) = struct.unpack_from("<I", raw)  # before the block, as numcodecs writes it
+        if n_stated != n_bytes:
+            return b""
+        plain: bytes = lz4.block.decompress(raw)
+        return plain
     if kind == "bz2":
         return bz2.BZ2Decompressor().decompress(raw, n_bytes + 1)
     if kind == "lzma":
         return lzma.LZMADecompressor(memlimit=MAX_CHUNK_BYTES).decompress(raw, n_bytes + 1)
     if kind == "blosc":
-        # Of its header: the bytes of the numbers, of a block, and of all that follows.
-        stated, _, n_packed = struct.unpack_from("<III", raw, 4)
-        return _blosc(raw) if (stated, n_packed) == (n_bytes, len(raw)) else b""
+        # In its header: the bytes of the numbers, of a block, and of all that follows.
+        n_stated, _, n_packed = struct.unpack_from("<III", raw, 4)
+        if n_stated != n_bytes or n_packed != len(raw):
+            return b""
+        return _blosc(raw)
     raise ValueError(f"codec {str(kind)[:40]!r}; allowed: blosc, zstd, lz4, zlib, gzip, bz2, lzma")
 
 

@@ -66,11 +66,12 @@ class BagStorage(Storage):
         with reading(path) as file:
             size = file.seek(0, 2)
             try:
-                first = next(_records(file, len(MAGIC), size), None)
-                if first is not None and first.opcode == OP_HEADER:
-                    self._index = first.unpacked(INDEX, b"index_pos")[0]
+                first_record = next(_records(file, len(MAGIC), size), None)
+                if first_record is not None and first_record.opcode == OP_HEADER:
+                    self._index = first_record.unpacked(INDEX, b"index_pos")[0]
             except Break as fault:
                 raise SourceError(f"{name}: cannot be read ({fault})") from fault
+        # A recorder that was killed has stated no index.
         self.is_closed = 0 < self._index < size
 
     def read_index(self) -> None:
@@ -82,6 +83,7 @@ class BagStorage(Storage):
                 for record in _records(file, self._index, size):
                     if record.opcode == OP_CONNECTION:
                         self._connect(record)
+            # Without an index the connections are read beside the messages.
             except Break:
                 self.connections.clear()
 
@@ -135,10 +137,10 @@ class BagStorage(Storage):
         number = record.number(b"conn")
         if number not in self.connections:
             raise Break("a message there has no connection")
-        topic, of = self.connections[number]
+        topic, described = self.connections[number]
         if topic in topics:
             sec, nanosec = record.unpacked(TIME, b"time")
-            yield Recorded(topic, of.kind, sec * 10**9 + nanosec, record.data)
+            yield Recorded(topic, described.kind, sec * 10**9 + nanosec, record.data)
 
     def _connect(self, record: Record) -> None:
         """Note a connection: a topic, its type and the definition of that."""
@@ -147,7 +149,8 @@ class BagStorage(Storage):
         kind = full_name(fields.get(b"type", b"").decode("utf-8", "replace"))
         text = fields.get(b"message_definition", b"").decode("utf-8", "replace")
         if len(self.connections) < MAX_TOPICS:
-            self.connections[record.number(b"conn")] = topic, Topic(kind, text, ros=1)
+            number = record.number(b"conn")
+            self.connections[number] = (topic, Topic(kind, text, ros=1))
 
 
 def _records(file: IO[bytes], place: int, size: int) -> Iterator[Record]:
@@ -200,17 +203,21 @@ def _inner(plain: bytes) -> Iterator[Record]:
     """The records of a chunk. Raises Break at the first one that is not whole."""
     at = 0
     while at < len(plain):
-        parts = []
-        for _ in range(2):
-            if at + LENGTH.size > len(plain):
-                raise Break("a chunk there is malformed")
-            (n_bytes,) = LENGTH.unpack_from(plain, at)
-            begin = at + LENGTH.size
-            at = begin + n_bytes
-            if at > len(plain):
-                raise Break("a chunk there is malformed")
-            parts.append(plain[begin:at])
-        yield Record(_fields(parts[0]), parts[1], at)
+        head, at = _part(plain, at)
+        data, at = _part(plain, at)
+        yield Record(_fields(head), data, at)
+
+
+def _part(plain: bytes, at: int) -> tuple[bytes, int]:
+    """The bytes behind the length that stands at a byte of a chunk, and the byte behind them."""
+    begin = at + LENGTH.size
+    if begin > len(plain):
+        raise Break("a chunk there is malformed")
+    (n_bytes,) = LENGTH.unpack_from(plain, at)
+    stop = begin + n_bytes
+    if stop > len(plain):
+        raise Break("a chunk there is malformed")
+    return plain[begin:stop], stop
 
 
 def _plain(record: Record, data: bytes) -> bytes:
@@ -221,6 +228,7 @@ def _plain(record: Record, data: bytes) -> bytes:
         raise Break(f"a chunk of {n_bytes} bytes, at most {MAX_CHUNK_BYTES}")
     if form == b"none":
         return data
+
     decompressor: Any
     if form == b"bz2":
         decompressor = bz2.BZ2Decompressor()

@@ -31,9 +31,10 @@ class Db3Storage(Storage):
             rows = base.execute("SELECT id, name, type, serialization_format FROM topics")
             for number, name, kind, encoding in rows:
                 form, text = texts.get(str(kind), ("msg", ""))
-                is_cdr = encoding in ("cdr", "")
-                of = Topic(str(kind), text, form) if is_cdr else Topic(str(encoding))
-                self.connections[number] = str(name), of
+                described = Topic(str(encoding))
+                if encoding in ("cdr", ""):
+                    described = Topic(str(kind), text, form)
+                self.connections[number] = (str(name), described)
 
     def messages(self, topics: Collection[str]) -> Iterator[Recorded]:
         self.losses.clear()
@@ -41,6 +42,7 @@ class Db3Storage(Storage):
             self.read_index()
         numbers = [number for number, (name, _) in self.connections.items() if name in topics]
         marks = ",".join("?" * len(numbers))
+
         # As they were written: an index may be behind the place where a file is cut off.
         columns = "topic_id, timestamp, data"
         query = f"SELECT {columns} FROM messages NOT INDEXED WHERE topic_id IN ({marks})"
@@ -49,12 +51,13 @@ class Db3Storage(Storage):
             try:
                 for number, log_ns, data in base.execute(query, numbers):
                     n += 1
-                    name, of = self.connections[number]
+                    name, described = self.connections[number]
                     if not isinstance(log_ns, int):
                         raise SourceError(f"{self.name}: a message has no time")
                     payload = data if isinstance(data, bytes) else b""
-                    yield Recorded(name, of.kind, log_ns, payload)
+                    yield Recorded(name, described.kind, log_ns, payload)
             except sqlite3.DatabaseError as error:
+                # What was read before the damage remains.
                 if not n:
                     raise
                 reason = " ".join(str(error).split())[:80]
@@ -67,7 +70,7 @@ class Db3Storage(Storage):
             return {}
         columns = "topic_type, encoding, encoded_message_definition"
         rows = base.execute(f"SELECT {columns} FROM message_definitions")
-        return {str(k): (FORMS[form], str(text)) for k, form, text in rows if form in FORMS}
+        return {str(kind): (FORMS[form], str(text)) for kind, form, text in rows if form in FORMS}
 
     @contextmanager
     def _opened(self) -> Iterator[sqlite3.Connection]:

@@ -90,25 +90,27 @@ class McapStorage(Storage):
         number, log_ns, _, payload = message_of(memoryview(record.data), record.offset)
         if number not in self.connections:
             raise Break(record.offset, "a message there has no channel")
-        topic, of = self.connections[number]
+        topic, described = self.connections[number]
         if topic in topics:
-            yield Recorded(topic, of.kind, log_ns, bytes(payload))
+            yield Recorded(topic, described.kind, log_ns, bytes(payload))
 
     def _note(self, record: Record) -> None:
         """Note a schema or a channel."""
         if record.opcode == Opcode.SCHEMA:
             schema = record.parsed(mcap.records.Schema.read)
             form = FORMS.get(schema.encoding, "")
-            text = schema.data.decode("utf-8", "replace") if form else ""
+            text = ""
+            if form:
+                text = schema.data.decode("utf-8", "replace")
             self._schemas[schema.id] = Topic(full_name(schema.name), text, form)
         elif record.opcode == Opcode.CHANNEL:
             channel = record.parsed(mcap.records.Channel.read)
             encoding = channel.message_encoding
-            of = Topic(encoding)
+            described = Topic(encoding)
             if encoding in VERSIONS:
                 schema = self._schemas.get(channel.schema_id, Topic(""))
-                of = schema._replace(ros=VERSIONS[encoding])
-            self.connections[channel.id] = channel.topic, of
+                described = schema._replace(ros=VERSIONS[encoding])
+            self.connections[channel.id] = (channel.topic, described)
 
     def _begin_of_summary(self, file: IO[bytes]) -> int | None:
         """Begin of the summary, 0 where there is none; None if the file has no end."""
@@ -118,20 +120,22 @@ class McapStorage(Storage):
             return None
         file.seek(size - end)
         tail = file.read(end)
+        begin: int
         opcode, length, begin, _, _ = FOOTER.unpack_from(tail)
-        is_whole = tail.endswith(MAGIC) and opcode == Opcode.FOOTER
-        is_whole = is_whole and length == FOOTER.size - HEAD_BYTES
-        return begin if is_whole and begin < size else None
+        is_footer = opcode == Opcode.FOOTER and length == FOOTER.size - HEAD_BYTES
+        if not tail.endswith(MAGIC) or not is_footer or begin >= size:
+            return None
+        return begin
 
     def _rest(
         self, file: IO[bytes], place: int, size: int, topics: Collection[str]
     ) -> Iterator[Recorded]:
         """The messages of a chunk whose end is missing."""
         file.seek(place)
-        head = file.read(HEAD_BYTES + CHUNK_HEAD.size)
-        if len(head) < HEAD_BYTES + CHUNK_HEAD.size or head[0] != Opcode.CHUNK:
+        heading = file.read(HEAD_BYTES + CHUNK_HEAD.size)
+        if len(heading) < HEAD_BYTES + CHUNK_HEAD.size or heading[0] != Opcode.CHUNK:
             return
-        _, _, n_plain, _, n_name = CHUNK_HEAD.unpack_from(head, HEAD_BYTES)
+        _, _, n_plain, _, n_name = CHUNK_HEAD.unpack_from(heading, HEAD_BYTES)
         if n_name > HEAD_BYTES or n_plain > MAX_CHUNK_BYTES:
             return
         form = file.read(n_name).decode("latin-1")
@@ -156,4 +160,6 @@ def _begin(form: str, data: bytes, n_plain: int) -> bytes:
             return bytes(decompressor.stream_reader(data).read(n_plain))
     except (RuntimeError, zstandard.ZstdError):
         return b""
-    return data[:n_plain] if not form else b""
+    if form:
+        return b""
+    return data[:n_plain]

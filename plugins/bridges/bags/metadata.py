@@ -26,6 +26,7 @@ def metadata_of(folder: Path) -> Metadata | None:
     from ruamel.yaml.error import YAMLError
 
     path = folder / "metadata.yaml"
+    # Any other form of its content is that of a file which cannot be read.
     try:
         if not path.is_file() or path.stat().st_size > MAX_BYTES:
             return None

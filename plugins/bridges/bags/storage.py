@@ -116,7 +116,9 @@ def workspace_of(paths: Sequence[str]) -> Workspace:
     """The copies of some files, as long as these are not changed."""
     files = [Path(path + ending) for path in paths for ending in ("", *LOGS)]
     states = [file.stat() for file in files if file.is_file()]
-    key = (*paths, *((state.st_mtime_ns, state.st_size) for state in states))
+    versions = [(state.st_mtime_ns, state.st_size) for state in states]
+    key = (*paths, *versions)
+    # A file that was written again has other copies.
     if key not in _LAST:
         _LAST.clear()
         _LAST[key] = Workspace()
@@ -133,20 +135,24 @@ def decompressed(path: str, work: Workspace) -> str:
         is_compressed = file.read(len(ZSTD_MAGIC)) == ZSTD_MAGIC
         if not is_compressed:
             return path
+
         size = file.seek(0, 2)
         file.seek(0)
         copy = work.path(Path(path).stem, 2 * size, path)
+        # A small file may decompress to a disk full of zeros.
         room_bytes = max(MAX_GROWN_BYTES, MAX_GROWTH * size)
         free_bytes = work.free_bytes
         decompressor = zstandard.ZstdDecompressor(max_window_size=MAX_WINDOW_BYTES)
         try:
             with Path(copy).open("wb") as out, decompressor.stream_reader(file) as stream:
-                while part := stream.read(COPY_BYTES):
+                part = stream.read(COPY_BYTES)
+                while part:
                     room_bytes -= len(part)
                     free_bytes -= len(part)
                     if min(room_bytes, free_bytes) < 0:
                         raise SourceError(f"{path}: is far larger than its file; {CONVERT}")
                     out.write(part)
+                    part = stream.read(COPY_BYTES)
         except zstandard.ZstdError as error:
             # What came before the damage is read as a file that is cut off.
             fault = str(error)
@@ -162,10 +168,14 @@ def with_log(path: str, work: Workspace) -> str:
     """The path of a database, or of a copy of it with what a killed recorder left beside it."""
     if path in work.copies:
         return work.copies[path]
-    logs = [Path(path + ending) for ending in LOGS]
-    logs = [log for log in logs if log.is_file() and log.stat().st_size]
+    logs = []
+    for ending in LOGS:
+        log = Path(path + ending)
+        if log.is_file() and log.stat().st_size:
+            logs.append(log)
     if not logs:
         return path
+
     n_bytes = sum(file.stat().st_size for file in (Path(path), *logs))
     copy = work.path(Path(path).name, 2 * n_bytes, path)
     shutil.copyfile(path, copy)

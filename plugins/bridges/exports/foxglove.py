@@ -56,10 +56,11 @@ def export_foxglove(bag: BagReader, out: Path, topics: Iterable[str] | None = No
     check_installed("writing for Foxglove", "foxglove", "foxglove", error=BagError)
     import foxglove
 
-    wanted = stream_topics(bag, topics)
+    frame_topics = stream_topics(bag, topics)
     if out.suffix != ".mcap":
         raise OutputError(f"{out}: expected a name that ends in .mcap")
-    skins = {patch: skin_of(bag, patch) for patch in {patch_of(topic) for topic in wanted}}
+    patches = {patch_of(topic) for topic in frame_topics}
+    skins = {patch: skin_of(bag, patch) for patch in patches}
     with whole_file(out) as draft:
         context = foxglove.Context()
         try:
@@ -71,8 +72,9 @@ def export_foxglove(bag: BagReader, out: Path, topics: Iterable[str] | None = No
                 writer.write_metadata(GRAPH_RECORD, bag.metadata)
             if bag.counts is not None:
                 writer.write_metadata("counts", {JSON_KEY: json.dumps(bag.counts)})
+
             channels = Channels(context)
-            for message, log_time_ns in streams(bag, with_states(bag, wanted), "export"):
+            for message, log_time_ns in streams(bag, with_states(bag, frame_topics), "export"):
                 if isinstance(message, STATES):
                     channel = channels.of(message.topic, "json")
                     channel.log(state_json(message), log_time=log_time_ns)
@@ -93,15 +95,15 @@ class Channels(dict[str, Any]):
         from foxglove import channels
 
         if topic not in self:
-            make = foxglove.Channel
-            form = dict[str, Any]()
+            channel_of = foxglove.Channel
+            options = dict[str, Any]()
             if schema == "json":
-                form = {"message_encoding": "json"}
+                options = {"message_encoding": "json"}
             elif isinstance(schema, str):
-                make = getattr(channels, f"{schema}Channel")
+                channel_of = getattr(channels, f"{schema}Channel")
             else:
-                form = {"schema": schema}
-            self[topic] = make(topic, context=self._context, **form)
+                options = {"schema": schema}
+            self[topic] = channel_of(topic, context=self._context, **options)
         return self[topic]
 
 
@@ -120,24 +122,27 @@ def contents(
     topic = message.topic
     cls = type(message)
     values = values_alone(message)
+    forces = values.get("forces")
+    sd = values.get("sd")
     if isinstance(message, Contacts):
         yield topic, json_schema(message), lambda: as_json(message)
         if skin is not None:
             yield f"{topic}/scene", "SceneUpdate", lambda: contact_scene(message, skin)
     elif isinstance(message, Measurements):
         yield topic, "RawImage", lambda: raw_image(message, np.asarray(message.y))
-    elif (forces := values.get("forces")) is not None:
+    elif forces is not None:
         layers = {"force": forces}
         yield topic, "RawImage", lambda: raw_image(message, forces)
-        if (sd := values.get("sd")) is not None:
+        if sd is not None:
             layers["sd"] = sd
             yield f"{topic}/sd", "RawImage", lambda: raw_image(message, sd)
         yield f"{topic}/grid", "Grid", lambda: grid(message, layers, skin)
         if skin is not None and skin.points is not None:
             yield f"{topic}/points", "PointCloud", lambda: point_cloud(message, layers, skin)
     if "forces" in values:
-        schema, more = figures_schema(cls, more or {}), dict(more or {})
-        yield f"{topic}/figures", schema, lambda: figures_of(message) | more
+        further = dict(more or {})
+        schema = figures_schema(cls, further)
+        yield f"{topic}/figures", schema, lambda: figures_of(message) | further
 
 
 def figure_names(cls: type[Message]) -> list[str]:
@@ -151,7 +156,8 @@ def figure_names(cls: type[Message]) -> list[str]:
 def figures_of(message: Message) -> dict[str, float]:
     """Numbers of a message by name, without those that it does not have."""
     values = values_alone(message)
-    if (forces := values.get("forces")) is not None:
+    forces = values.get("forces")
+    if forces is not None:
         values["total_force"] = float(forces.sum(dtype="f8"))
     names = figure_names(type(message))
     return {name: values[name] for name in names if values[name] is not None}
@@ -184,7 +190,9 @@ def grid(message: Message, layers: dict[str, Floats], skin: SkinState | None) ->
     from foxglove.messages import Grid, Vector2
 
     n_rows, n_cols = next(iter(layers.values())).shape
-    side = (skin.pitch_m if skin is not None else None) or UNKNOWN_PITCH_M
+    side = UNKNOWN_PITCH_M
+    if skin is not None and skin.pitch_m:
+        side = skin.pitch_m
     data = np.stack([layer.astype("<f4") for layer in layers.values()], axis=-1)
     return Grid(
         timestamp=_timestamp(message.stamp_ns),
@@ -216,47 +224,55 @@ def point_cloud(message: Message, layers: dict[str, Floats], skin: SkinState) ->
 
 def contact_scene(message: Contacts, skin: SkinState) -> Any:
     """foxglove.SceneUpdate of the contacts of a frame, which replaces the one before."""
-    from foxglove import messages as made
+    from foxglove import messages as primitives
 
     at = _timestamp(message.stamp_ns)
-    colour = made.Color(**dict(zip("rgba", COLOURS[message.trusted[0]], strict=True)))
+    red, green, blue, opacity = COLOURS[message.trusted[0]]
+    colour = primitives.Color(r=red, g=green, b=blue, a=opacity)
+
+    # The middle of a flat skin is the origin of its frame.
     middle = np.zeros(3)
     if skin.points is None:
         side = skin.pitch_m or UNKNOWN_PITCH_M
-        middle[:2] = side * (skin.n_cols - 1) / 2, side * (skin.n_rows - 1) / 2
+        middle[0] = side * (skin.n_cols - 1) / 2
+        middle[1] = side * (skin.n_rows - 1) / 2
+
     entities = []
-    for one in shapes(message, skin):
-        d = one.diameter
-        centre = one.centre - middle
-        tail = one.tail - middle
+    for shape in shapes(message, skin):
+        d = shape.diameter
+        centre = shape.centre - middle
+        tail = shape.tail - middle
         length = float(np.linalg.norm(centre - tail))
         head = min(d / 2, length)
-        arrow = made.ArrowPrimitive(
-            pose=_pose(*tail, *_turn_from_x((centre - tail) / (length or 1.0))),
+        turn = _turn_from_x((centre - tail) / (length or 1.0))
+        arrow = primitives.ArrowPrimitive(
+            pose=_pose(*tail, *turn),
             shaft_length=length - head,
             shaft_diameter=d / 4,
             head_length=head,
             head_diameter=d / 2,
             color=colour,
         )
-        sphere = made.SpherePrimitive(
-            pose=_pose(*centre), size=made.Vector3(x=d, y=d, z=d / 4), color=colour
+        sphere = primitives.SpherePrimitive(
+            pose=_pose(*centre), size=primitives.Vector3(x=d, y=d, z=d / 4), color=colour
         )
-        text = made.TextPrimitive(
-            pose=_pose(*tail), billboard=True, font_size=d, color=colour, text=one.text
+        text = primitives.TextPrimitive(
+            pose=_pose(*tail), billboard=True, font_size=d, color=colour, text=shape.text
         )
         entities.append(
-            made.SceneEntity(
+            primitives.SceneEntity(
                 timestamp=at,
                 frame_id=message.patch,
-                id=str(one.id),
+                id=str(shape.id),
                 arrows=[arrow],
                 spheres=[sphere],
                 texts=[text],
             )
         )
-    everything = made.SceneEntityDeletion(timestamp=at, type=made.SceneEntityDeletionType.All)
-    return made.SceneUpdate(deletions=[everything], entities=entities)
+    everything = primitives.SceneEntityDeletion(
+        timestamp=at, type=primitives.SceneEntityDeletionType.All
+    )
+    return primitives.SceneUpdate(deletions=[everything], entities=entities)
 
 
 def _turn_from_x(direction: Doubles) -> tuple[float, float, float, float]:
@@ -264,6 +280,7 @@ def _turn_from_x(direction: Doubles) -> tuple[float, float, float, float]:
     x, y, z = direction.tolist()
     if x < -0.999999:
         return (0.0, 0.0, 1.0, 0.0)
+    # From x to -x every turn is as short: one about z is taken above.
     half = float(np.sqrt(2 + 2 * x))
     return (0.0, -z / half, y / half, half / 2)
 
@@ -272,7 +289,8 @@ def _pose(x: float, y: float, z: float = 0.0, *turn: float) -> Any:
     """A pose turned by a quaternion, x, y, z, w; none: not turned."""
     from foxglove.messages import Pose, Quaternion, Vector3
 
-    orientation = Quaternion(**dict(zip("xyzw", turn or (0.0, 0.0, 0.0, 1.0), strict=True)))
+    qx, qy, qz, qw = turn or (0.0, 0.0, 0.0, 1.0)
+    orientation = Quaternion(x=qx, y=qy, z=qz, w=qw)
     return Pose(position=Vector3(x=x, y=y, z=z), orientation=orientation)
 
 
@@ -281,11 +299,11 @@ def _fields(names: Iterable[str]) -> list[Any]:
     from foxglove.messages import PackedElementField, PackedElementFieldNumericType
 
     types = PackedElementFieldNumericType
-    kinds = {name: types.Uint32 if name == ROW else types.Float32 for name in names}
-    return [
-        PackedElementField(name=name, offset=FLOAT32_BYTES * k, type=kind)
-        for k, (name, kind) in enumerate(kinds.items())
-    ]
+    fields = []
+    for k, name in enumerate(names):
+        kind = types.Uint32 if name == ROW else types.Float32
+        fields.append(PackedElementField(name=name, offset=FLOAT32_BYTES * k, type=kind))
+    return fields
 
 
 def _timestamp(stamp_ns: int) -> Any:

@@ -68,20 +68,21 @@ class _Stream:
 
     def newest(self, times_ns: Times, back: int = 0) -> npt.NDArray[np.intp]:
         """Number of the frame `back` before the last one at or before each time, at least 0."""
-        last = np.searchsorted(self.times_ns, times_ns, side="right") - 1
-        return np.maximum(last - back, 0)
+        newest_frames = np.searchsorted(self.times_ns, times_ns, side="right") - 1
+        return np.maximum(newest_frames - back, 0)
 
     def part(self, back: int = 0, missing: float = math.nan) -> Part:
         """The values of those frames, with a number for readings that are missing."""
 
         def take(times_ns: Times, columns: slice) -> Floats:
-            found = self.values[self.newest(times_ns, back), columns]
-            return np.nan_to_num(found, copy=False, nan=missing)
+            values = self.values[self.newest(times_ns, back), columns]
+            return np.nan_to_num(values, copy=False, nan=missing)
 
         return self.values.shape[1], take
 
     def ages(self, times_ns: Times, columns: slice) -> Floats:
         """How long before each time the frames of its window were acquired, seconds."""
+        # The oldest frame of a window stands first.
         window = range(self.size - 1, -1, -1)[columns]
         frames = np.stack([self.newest(times_ns, back) for back in window], axis=1)
         return ((times_ns[:, None] - self.times_ns[frames]) / 1e9).astype(np.float32)
@@ -99,58 +100,80 @@ class _Episode:
     @property
     def span_ns(self) -> tuple[int, int]:
         """First and last time between which there are frames of all topics."""
-        times = [one.times_ns for one in self.maps + self.contacts]
-        return max(int(each[0]) for each in times), min(int(each[-1]) for each in times)
+        times = [stream.times_ns for stream in self.maps + self.contacts]
+        first_ns = max(int(stream_times[0]) for stream_times in times)
+        last_ns = min(int(stream_times[-1]) for stream_times in times)
+        return first_ns, last_ns
+
+    def n_rows(self, rate: int) -> int:
+        """Rows of the episode at a rate a second, where no dataset states them."""
+        _, last_ns = self.span_ns
+        return max(0, last_ns) * rate // 10**9 + 1
 
     def check(self, rows_ns: Times, period_ns: float) -> None:
         """Raise BagError if rows lie before the first frame, or more than a period after the last;
         log frames after the last row.
         """
-        (first, last) = self.span_ns
-        begin = int(rows_ns[0])
-        end = int(rows_ns[-1])
-        late = max(period_ns, *(one.period_ns for one in self.maps + self.contacts))
-        if begin < first or end > last + late:
+        first_ns, last_ns = self.span_ns
+        begin_ns = int(rows_ns[0])
+        end_ns = int(rows_ns[-1])
+        periods_ns = [stream.period_ns for stream in self.maps + self.contacts]
+        slack_ns = max(period_ns, *periods_ns)
+        if begin_ns < first_ns or end_ns > last_ns + slack_ns:
+            span_s = (last_ns - first_ns) / 1e9
+            begin_s = (begin_ns - first_ns) / 1e9
+            end_s = (end_ns - first_ns) / 1e9
             raise BagError(
-                f"{self.path}: lasts {(last - first) / 1e9:.3f} s, but the rows of its episode are "
-                f"those of {(begin - first) / 1e9:.3f} to {(end - first) / 1e9:.3f} s; state "
-                "--offset, or the recording of that episode"
+                f"{self.path}: lasts {span_s:.3f} s, but the rows of its episode are those of "
+                f"{begin_s:.3f} to {end_s:.3f} s; state --offset, or the recording of that episode"
             )
-        if end + late < last:
-            left = (last - end) / 1e9
-            print(f"{self.path}: its last {left:.3f} s have no rows", file=sys.stderr)
+        if end_ns + slack_ns < last_ns:
+            unused_s = (last_ns - end_ns) / 1e9
+            print(f"{self.path}: its last {unused_s:.3f} s have no rows", file=sys.stderr)
 
     def features(self, rows_ns: Times | None) -> dict[str, Feature]:
         """Those of maps and contacts; of a dataset that has no other, with rows at these times,
         a state and an action in any case.
         """
-        found = {}
-        for one in self.maps:
-            n = one.values.shape[1]
-            window = range(one.size - 1, -1, -1)
-            found[one.key] = Feature((one.size, n), None, [one.part(back) for back in window])
-            found[f"{one.key}.age"] = Feature((one.size,), None, [(one.size, one.ages)])
-        parts = [one.part(missing=0) for one in self.maps]
-        found[FORCES] = Feature((sum(width for width, _ in parts),), None, parts)
+        features = {}
+        for stream in self.maps:
+            n = stream.values.shape[1]
+            window = range(stream.size - 1, -1, -1)
+            frames = [stream.part(back) for back in window]
+            ages = [(stream.size, stream.ages)]
+            features[stream.key] = Feature((stream.size, n), None, frames)
+            features[f"{stream.key}.age"] = Feature((stream.size,), None, ages)
+
+        forces = [stream.part(missing=0) for stream in self.maps]
+        n_forces = sum(width for width, _ in forces)
+        features[FORCES] = Feature((n_forces,), None, forces)
+
         if self.contacts:
-            named = [(split_topic(one.topic)[0], one.shape[0]) for one in self.contacts]
-            names = [name for patch, k in named for name in state_names(patch, k)]
-            found[STATE] = Feature((len(names),), names, [one.part() for one in self.contacts])
+            names: list[str] = []
+            for stream in self.contacts:
+                patch, _ = split_topic(stream.topic)
+                names += state_names(patch, stream.shape[0])
+            states = [stream.part() for stream in self.contacts]
+            features[STATE] = Feature((len(names),), names, states)
+
         if rows_ns is not None:
-            touch = found.setdefault(STATE, found[FORCES])
-            parts = [_following(rows_ns, part) for part in touch.parts]
-            found[ACTION] = Feature(touch.shape, touch.names, parts)
-        return found
+            touched = features.setdefault(STATE, features[FORCES])
+            parts = [_following(rows_ns, part) for part in touched.parts]
+            features[ACTION] = Feature(touched.shape, touched.names, parts)
+        return features
 
 
 def _following(rows_ns: Times, part: Part) -> Part:
     """A block of columns at the row after each, or at the last one."""
 
-    def take(times_ns: Times, columns: slice) -> Floats:
-        after = np.searchsorted(rows_ns, times_ns, side="right")
-        return part[1](rows_ns[np.minimum(after, len(rows_ns) - 1)], columns)
+    width, take_part = part
 
-    return part[0], take
+    def take(times_ns: Times, columns: slice) -> Floats:
+        following = np.searchsorted(rows_ns, times_ns, side="right")
+        following = np.minimum(following, len(rows_ns) - 1)
+        return take_part(rows_ns[following], columns)
+
+    return width, take
 
 
 def export_lerobot(
@@ -189,74 +212,97 @@ def export_lerobot(
     bag; OutputError if the folder exists or cannot be written.
     """
     check_installed("writing for LeRobot", "lerobot", "pyarrow", error=BagError)
-    limits = {"fps": (fps, MAX_FPS), "window": (window, MAX_WINDOW)}
-    for name, (number, high) in (limits | {"contacts": (contacts, MAX_CONTACTS)}).items():
-        if number is not None and not 1 <= number <= high:
-            raise BagError(f"--{name}: {number} is outside 1..{high}")
-    if into is not None and fps is not None:
-        raise BagError("--fps: is that of the dataset of --into")
-    if into is not None and out.resolve().is_relative_to(Path(into).resolve()):
-        raise OutputError(f"{out}: is within the dataset of --into; state another --out")
+    _check_options({"fps": fps, "window": window, "contacts": contacts}, out, into)
     offsets_ns = _offsets_ns(offset, len(bags))
-    joined = None if into is None else Dataset(Path(into))
-    if joined and (n := len(joined.times_ns)) != len(bags):
-        raise BagError(f"{into}: has {n} episodes; state as many recordings, not {len(bags)}")
-    rate = joined.fps if joined else fps or FPS
+    rate = fps or FPS
+    existing = None
+    if into is not None:
+        existing = Dataset(Path(into))
+        rate = existing.fps
+        n = len(existing.times_ns)
+        if n != len(bags):
+            raise BagError(f"{into}: has {n} episodes; state as many recordings, not {len(bags)}")
+
     with whole_folder(out):
         with tempfile.TemporaryDirectory(dir=out, prefix=".frames") as name:
             folder = Path(name)
             sizes = dict[str, int]()
             episodes = []
             for bag, offset_ns in zip(bags, offsets_ns, strict=True):
-                maps, touched = _wanted(bag, topics)
-                read = [_read_map(bag, one, folder, rate, window, sizes) for one in maps]
-                states = [_read_contacts(bag, one, folder, contacts) for one in touched]
-                episodes.append(_episode(bag.path, read, states, offset_ns))
-            lengths = [max(0, one.span_ns[1]) * rate // 10**9 + 1 for one in episodes]
-            dataset = joined or make_dataset(folder / "rows", lengths, rate)
-            added = []
-            for one, rows_ns in zip(episodes, dataset.times_ns, strict=True):
-                one.check(rows_ns, 1e9 / rate)
-                added.append(one.features(None if joined else rows_ns))
-                shapes = [{k: f.shape for k, f in features.items()} for features in added]
-                if shapes[-1] != shapes[0]:
-                    raise BagError(
-                        f"{one.path}: its features differ from those of {bags[0].path}: "
-                        f"{shapes[-1]}, not {shapes[0]}"
-                    )
+                map_topics, contact_topics = _topics_of(bag, topics)
+                maps = [_read_map(bag, topic, folder, rate, window, sizes) for topic in map_topics]
+                states = [_read_contacts(bag, topic, folder, contacts) for topic in contact_topics]
+                episodes.append(_episode(bag.path, maps, states, offset_ns))
+
+            dataset = existing
+            if dataset is None:
+                lengths = [episode.n_rows(rate) for episode in episodes]
+                dataset = make_dataset(folder / "rows", lengths, rate)
+
+            added: list[dict[str, Feature]] = []
+            for episode, rows_ns in zip(episodes, dataset.times_ns, strict=True):
+                episode.check(rows_ns, 1e9 / rate)
+                added.append(episode.features(None if existing else rows_ns))
+                _check_shapes(added, episode.path, bags[0].path)
             dataset.join(out, added, _readme(episodes))
         return sorted(path for path in out.rglob("*") if path.is_file())
+
+
+def _check_shapes(added: Sequence[dict[str, Feature]], path: Path, path_of_first: Path) -> None:
+    """Raise BagError if the features of the last episode have other shapes than the first one's."""
+    expected = {key: feature.shape for key, feature in added[0].items()}
+    shapes = {key: feature.shape for key, feature in added[-1].items()}
+    if shapes != expected:
+        fault = f"its features differ from those of {path_of_first}: {shapes}, not {expected}"
+        raise BagError(f"{path}: {fault}")
+
+
+def _check_options(numbers: dict[str, int | None], out: Path, into: str | None) -> None:
+    """Raise BagError or OutputError if an option is out of its range, or contradicts another."""
+    highest = {"fps": MAX_FPS, "window": MAX_WINDOW, "contacts": MAX_CONTACTS}
+    for name, number in numbers.items():
+        if number is not None and not 1 <= number <= highest[name]:
+            raise BagError(f"--{name}: {number} is outside 1..{highest[name]}")
+    if into is not None and numbers["fps"] is not None:
+        raise BagError("--fps: is that of the dataset of --into")
+    if into is not None and out.resolve().is_relative_to(Path(into).resolve()):
+        raise OutputError(f"{out}: is within the dataset of --into; state another --out")
 
 
 def _offsets_ns(text: str, n: int) -> list[int]:
     """Offsets of n episodes."""
     with contextlib.suppress(ValueError):
-        found = [float(word) for word in text.split(",")]
-        if len(found) in (1, n) and all(abs(one) <= MAX_OFFSET_S for one in found):
-            return [round(1e9 * one) for one in found] * (n // len(found))
+        offsets_s = [float(word) for word in text.split(",")]
+        are_allowed = all(abs(seconds) <= MAX_OFFSET_S for seconds in offsets_s)
+        if are_allowed and len(offsets_s) in (1, n):
+            return [round(1e9 * seconds) for seconds in offsets_s] * (n // len(offsets_s))
     raise BagError(
         f"--offset: {text[:40]!r}; allowed is a number of seconds up to {MAX_OFFSET_S}, or one for "
         f"each of {n} recordings, separated by commas"
     )
 
 
-def _wanted(bag: BagReader, topics: Iterable[str] | None) -> tuple[list[str], list[str]]:
+def _topics_of(bag: BagReader, topics: Iterable[str] | None) -> tuple[list[str], list[str]]:
     """Topics requested; or else the reconstruction of each patch, or its taxels, and contacts."""
-    found = frame_topics(bag, topics, (*FRAME_SCHEMAS, Contacts.schema))
-    touched = [topic for topic in found if split_topic(topic)[1] == Contacts.schema]
+    topics_found = frame_topics(bag, topics, (*FRAME_SCHEMAS, Contacts.schema))
+    contact_topics = [topic for topic in topics_found if split_topic(topic)[1] == Contacts.schema]
     if topics is not None:
-        for topic in found:
-            if split_topic(topic)[1] == Measurements.schema:
+        for topic in topics_found:
+            _, schema = split_topic(topic)
+            if schema == Measurements.schema:
                 raise BagError(f"{topic}: measurements are no map; allowed are topics of forces")
-        return [topic for topic in found if topic not in touched], touched
-    best: dict[str, str] = {}
-    for schema in (Taxels.schema, Reconstruction.schema):
-        for topic in found:
-            if split_topic(topic)[1] == schema:
-                best[split_topic(topic)[0]] = topic
-    if not best:
+        return [topic for topic in topics_found if topic not in contact_topics], contact_topics
+
+    # A reconstruction goes before the taxels of its patch.
+    map_of_patch: dict[str, str] = {}
+    for map_schema in (Taxels.schema, Reconstruction.schema):
+        for topic in topics_found:
+            patch, schema = split_topic(topic)
+            if schema == map_schema:
+                map_of_patch[patch] = topic
+    if not map_of_patch:
         raise BagError(f"{bag.path}: holds neither reconstructions nor taxels")
-    return list(best.values()), touched
+    return list(map_of_patch.values()), contact_topics
 
 
 def _read(
@@ -265,9 +311,11 @@ def _read(
     """Shape of the values of a message, stamps, and all values, each flat."""
     stamps: list[int] = []
     shape: tuple[int, ...] = ()
+    # In a file: a recording may be larger than the memory.
     with tempfile.TemporaryFile(dir=folder) as file:
         for message, _ in streams(bag, [topic], "read"):
-            if (values := values_in(message)) is None:
+            values = values_in(message)
+            if values is None:
                 continue
             shape = shape or values.shape
             if values.shape != shape:
@@ -279,8 +327,8 @@ def _read(
         if not stamps:
             raise BagError(f"{bag.path}: {topic}: states messages, but holds none")
         file.flush()
-        held = np.memmap(file, "<f4", "r", shape=(len(stamps), math.prod(shape)))
-    return shape, np.array(stamps, np.int64), held
+        mapped = np.memmap(file, "<f4", "r", shape=(len(stamps), math.prod(shape)))
+    return shape, np.array(stamps, np.int64), mapped
 
 
 def _read_map(
@@ -293,23 +341,31 @@ def _read_map(
 ) -> _Stream:
     """A map; `sizes` has the windows of the first bag."""
     patch, schema = split_topic(topic)
-    name = patch if schema == Reconstruction.schema else f"{patch}_{schema}"
+    key = f"observation.tactile.{patch}"
+    if schema != Reconstruction.schema:
+        key = f"{key}_{schema}"
     shape, stamps_ns, values = _read(bag, topic, folder, values_of)
-    found = _Stream(
-        topic, f"observation.tactile.{name}", 1, shape, skin_of(bag, patch), stamps_ns, values
-    )
+    stream = _Stream(topic, key, 1, shape, skin_of(bag, patch), stamps_ns, values)
+
+    # As many frames as come in the time of a row.
     if size is None:
-        per_row = 1e9 / (fps * found.period_ns) if found.period_ns else 1
-        size = sizes.setdefault(topic, min(max(1, math.ceil(per_row - 1e-6)), MAX_WINDOW))
-    return replace(found, size=size)
+        per_row = 1.0
+        if stream.period_ns:
+            per_row = 1e9 / (fps * stream.period_ns)
+        n_frames = min(max(1, math.ceil(per_row - 1e-6)), MAX_WINDOW)
+        size = sizes.setdefault(topic, n_frames)
+    return replace(stream, size=size)
 
 
 def _read_contacts(bag: BagReader, topic: str, folder: Path, k: int) -> _Stream:
     def values_in(message: Message) -> Floats | None:
-        return state(message, k) if isinstance(message, Contacts) else None
+        if not isinstance(message, Contacts):
+            return None
+        return state(message, k)
 
     _, stamps_ns, values = _read(bag, topic, folder, values_in)
-    skin = skin_of(bag, split_topic(topic)[0])
+    patch, _ = split_topic(topic)
+    skin = skin_of(bag, patch)
     return _Stream(topic, STATE, 1, (k,), skin, stamps_ns, values)
 
 
@@ -318,12 +374,14 @@ def _episode(path: Path, maps: list[_Stream], contacts: list[_Stream], offset_ns
     first_ns, last_ns = _Episode(path, 0, maps, contacts).span_ns
     if last_ns < first_ns:
         raise BagError(f"{path}: its topics have no time in common")
+
     begin_ns = first_ns + offset_ns
-    moved = [
-        [replace(one, times_ns=one.times_ns - begin_ns) for one in group]
-        for group in (maps, contacts)
-    ]
-    return _Episode(path, begin_ns, *moved)
+    return _Episode(path, begin_ns, _after(maps, begin_ns), _after(contacts, begin_ns))
+
+
+def _after(streams: list[_Stream], begin_ns: int) -> list[_Stream]:
+    """Streams with times after the begin of an episode."""
+    return [replace(stream, times_ns=stream.times_ns - begin_ns) for stream in streams]
 
 
 def _readme(episodes: Sequence[_Episode]) -> str:
@@ -339,19 +397,26 @@ def _readme(episodes: Sequence[_Episode]) -> str:
     ]  # fmt: skip
     for stream in maps:
         skin = stream.skin
-        (n_rows, n_cols) = stream.shape
-        known = (skin.unit, f"0..{skin.f_max:g}", skin.pitch_m or "-") if skin else ("-",) * 3
-        cells = (stream.key, stream.size, f"{n_rows} x {n_cols}", *known, stream.topic)
+        n_rows, n_cols = stream.shape
+        about_skin: tuple[object, ...] = ("-", "-", "-")
+        if skin is not None:
+            about_skin = (skin.unit, f"0..{skin.f_max:g}", skin.pitch_m or "-")
+        cells = (stream.key, stream.size, f"{n_rows} x {n_cols}", *about_skin, stream.topic)
         lines.append(f"| {' | '.join(map(str, cells))} |")
     if contacts:
-        of = [f"{s.topic} ({s.shape[0]}, {s.skin.unit if s.skin else '-'})" for s in contacts]
+        contact_texts = []
+        for stream in contacts:
+            unit = stream.skin.unit if stream.skin else "-"
+            contact_texts.append(f"{stream.topic} ({stream.shape[0]}, {unit})")
         lines += [
             "",
             f"`{STATE}` ends with the contacts of the largest forces, the largest first, of "
-            f"{', '.join(of)}: 1 where their frame is trusted, then of each contact total force "
-            "and its standard deviation in that unit, centre and velocity in mm, area in mm2 "
-            "(taxels where no pitch is known), and age in seconds; zeros where there are fewer.",
+            f"{', '.join(contact_texts)}: 1 where their frame is trusted, then of each contact "
+            "total force and its standard deviation in that unit, centre and velocity in mm, "
+            "area in mm2 (taxels where no pitch is known), and age in seconds; zeros where there "
+            "are fewer.",
         ]
     lines += ["", "| episode | recording | stamp of timestamp 0, ns |", "|---|---|---|"]
-    lines += [f"| {k} | {one.path.name} | {one.begin_ns} |" for k, one in enumerate(episodes)]
+    for k, episode in enumerate(episodes):
+        lines.append(f"| {k} | {episode.path.name} | {episode.begin_ns} |")
     return "\n".join(lines)

@@ -65,14 +65,17 @@ class Feature:
     def stats(self, times_ns: Times) -> Stats:
         """Statistics over the times, computed by blocks of columns."""
         block = max(1, BLOCK_BYTES // (8 * len(times_ns)))
-        found = [
-            _stats(take(times_ns, slice(begin, begin + block)))
-            for width, take in self.parts
-            for begin in range(0, width, block)
-        ]
-        joined = {k: np.concatenate([one[k] for one in found]) for k in found[0] if k != "count"}
-        shaped = {name: values.reshape(self.shape) for name, values in joined.items()}
-        return shaped | {"count": found[0]["count"]}
+        blocks = []
+        for width, take in self.parts:
+            for begin in range(0, width, block):
+                blocks.append(_stats(take(times_ns, slice(begin, begin + block))))
+
+        joined: Stats = {}
+        for name in ("min", "max", "mean", "std", *QUANTILES):
+            values = np.concatenate([of_block[name] for of_block in blocks])
+            joined[name] = values.reshape(self.shape)
+        joined["count"] = blocks[0]["count"]
+        return joined
 
 
 class Dataset:
@@ -90,19 +93,25 @@ class Dataset:
         with self._refused():
             self._info = json.loads((root / INFO).read_text())
             self._stats = json.loads((root / STATS).read_text())
-            if (version := self._info["codebase_version"]) != VERSION:
+            version = self._info["codebase_version"]
+            if version != VERSION:
                 raise ValueError(f"codebase version {version!r:.20}; allowed is {VERSION!r}")
             self.fps = self._info["fps"]
             self._features = {**self._info["features"]}
             if not 0 < self.fps <= MAX_FPS:
                 raise ValueError(f"fps {self.fps} is outside 0..{MAX_FPS}")
+
             self._data = sorted(root.glob("data/*/*.parquet"))
             names = ["episode_index", "timestamp"]
             table = pa.concat_tables(pq.read_table(path, columns=names) for path in self._data)
-            episodes, seconds = (table[name].to_numpy() for name in names)
-            found, counts = np.unique(episodes, return_counts=True)
-            if not np.array_equal(found, np.arange(self._info["total_episodes"])):
-                raise ValueError(f"rows of {len(found)} episodes, not of those that it states")
+            episodes = table["episode_index"].to_numpy()
+            seconds = table["timestamp"].to_numpy()
+            episodes_found, counts = np.unique(episodes, return_counts=True)
+            if not np.array_equal(episodes_found, np.arange(self._info["total_episodes"])):
+                raise ValueError(
+                    f"rows of {len(episodes_found)} episodes, not of those that it states"
+                )
+
             times_ns = self._in_ns(seconds[np.argsort(episodes, kind="stable")])
             self.times_ns = np.split(times_ns, np.cumsum(counts)[:-1])
 
@@ -115,31 +124,39 @@ class Dataset:
         """
         for key in added[0].keys() & self._features.keys() - {STATE, FORCES}:
             raise BagError(f"{self.root}: has a feature {key} already")
-        replaced = {self.root / name for name in (INFO, STATS, README, "data", "meta/episodes")}
+
         with self._refused():
-            shutil.copytree(
-                self.root,
-                out,
-                ignore=lambda folder, names: [n for n in names if Path(folder, n) in replaced],
-                copy_function=_link,
-                dirs_exist_ok=True,
-            )
-            found = [
-                {key: one.stats(times_ns) for key, one in features.items()}
-                for features, times_ns in zip(added, self.times_ns, strict=True)
-            ]
+            self._link_files(out)
+            stats_of_episodes = []
+            for features, times_ns in zip(added, self.times_ns, strict=True):
+                stats = {key: feature.stats(times_ns) for key, feature in features.items()}
+                stats_of_episodes.append(stats)
             self._join_rows(out, added)
-            self._join_episodes(out, found)
+            self._join_episodes(out, stats_of_episodes)
             for key, feature in added[0].items():
-                of_all = _pooled([one[key] for one in found])
-                self._stats[key] = _appended(self._stats.get(key), of_all)
+                pooled = _pooled([stats[key] for stats in stats_of_episodes])
+                self._stats[key] = _appended(self._stats.get(key), pooled)
                 self._features[key] = self._with(key, feature)
             readme = self.root / README
-            text = readme.read_text(encoding="utf-8") if readme.exists() else CARD
+            text = CARD
+            if readme.exists():
+                text = readme.read_text(encoding="utf-8")
+
         info = self._info | {"features": self._features}
         (out / INFO).write_text(json.dumps(info, indent=4), encoding="utf-8")
         (out / STATS).write_text(json.dumps(self._stats, default=np.ndarray.tolist))
         (out / README).write_text(f"{text}\n{about}\n", encoding="utf-8")
+
+    def _link_files(self, out: Path) -> None:
+        """Link the files that stay as they are into the folder `out`."""
+        replaced = {self.root / name for name in (INFO, STATS, README, "data", "meta/episodes")}
+        shutil.copytree(
+            self.root,
+            out,
+            ignore=lambda folder, names: [n for n in names if Path(folder, n) in replaced],
+            copy_function=_link,
+            dirs_exist_ok=True,
+        )
 
     def _in_ns(self, seconds: npt.NDArray[Any]) -> Times:
         """Timestamps, float32, in nanoseconds: multiples of 1 / fps where they are."""
@@ -151,22 +168,26 @@ class Dataset:
 
     def _with(self, key: str, feature: Feature) -> dict[str, Any]:
         """A feature as info.json states it, appended to that of the dataset."""
-        old = self._features.get(key)
+        existing = self._features.get(key)
         names = feature.names
-        n = feature.shape[0]
-        if old is None:
+        if existing is None:
             return {"dtype": "float32", "shape": [*feature.shape], "names": names}
-        before = old["names"]
-        if isinstance(before, dict) and len(before) == 1:  # of datasets that were converted
-            (before,) = before.values()
-        both = [*before, *names] if names and isinstance(before, list) else None
-        return {"dtype": "float32", "shape": [old["shape"][0] + n], "names": both}
+
+        # Datasets that were converted have their names in a dict.
+        names_before = existing["names"]
+        if isinstance(names_before, dict) and len(names_before) == 1:
+            (names_before,) = names_before.values()
+        all_names = None
+        if names and isinstance(names_before, list):
+            all_names = [*names_before, *names]
+        n = existing["shape"][0] + feature.shape[0]
+        return {"dtype": "float32", "shape": [n], "names": all_names}
 
     def _join_rows(self, out: Path, added: Sequence[Mapping[str, Feature]]) -> None:
         import pyarrow as pa
         import pyarrow.parquet as pq
 
-        n_columns = sum(width for one in added[0].values() for width, _ in one.parts)
+        n_columns = sum(width for feature in added[0].values() for width, _ in feature.parts)
         block = max(1, BLOCK_BYTES // (4 * n_columns))
         for path in self._data:
             writer = None
@@ -175,38 +196,48 @@ class Dataset:
                 table = pa.Table.from_batches([batch]).replace_schema_metadata(None)
                 numbers = table["episode_index"].to_numpy()
                 times_ns = self._in_ns(table["timestamp"].to_numpy())
+
+                # Rows of one episode after each other.
                 borders = [0, *(np.flatnonzero(np.diff(numbers)) + 1), len(numbers)]
                 runs = [slice(*ends) for ends in itertools.pairwise(borders)]
                 for key in added[0]:
-                    of_runs = [added[numbers[run.start]][key].rows(times_ns[run]) for run in runs]
-                    rows = np.concatenate(of_runs)
+                    rows_of_runs = []
+                    for run in runs:
+                        feature = added[numbers[run.start]][key]
+                        rows_of_runs.append(feature.rows(times_ns[run]))
+                    rows = np.concatenate(rows_of_runs)
                     if key in self._features:
-                        old = table[key].combine_chunks()
-                        wide = np.asarray(old.flatten() if pa.types.is_nested(old.type) else old)
-                        rows = np.hstack([wide.reshape(len(rows), -1), rows]).astype(np.float32)
+                        existing = table[key].combine_chunks()
+                        if pa.types.is_nested(existing.type):
+                            existing = existing.flatten()
+                        wide = np.asarray(existing).reshape(len(rows), -1)
+                        rows = np.hstack([wide, rows]).astype(np.float32)
                     table = _set(table, key, _nested(rows))
+
                 if writer is None:
-                    made = _make(out / path.relative_to(self.root))
-                    writer = pq.ParquetWriter(made, table.schema, compression="snappy")
+                    target = _make(out / path.relative_to(self.root))
+                    writer = pq.ParquetWriter(target, table.schema, compression="snappy")
                 writer.write_table(table)
             if writer is not None:
                 writer.close()
 
-    def _join_episodes(self, out: Path, found: Sequence[Mapping[str, Stats]]) -> None:
+    def _join_episodes(self, out: Path, stats_of_episodes: Sequence[Mapping[str, Stats]]) -> None:
         import pyarrow.parquet as pq
 
         for path in sorted(self.root.glob("meta/episodes/*/*.parquet")):
             table = pq.read_table(path)
+            # A row for each episode, and a column for each of its statistics.
             numbers = table["episode_index"].to_pylist()
-            for key in found[0]:
+            for key in stats_of_episodes[0]:
                 prefix = f"stats/{key}/"
-                held = [name for name in table.column_names if name.startswith(prefix)]
-                before = table.select(held).to_pylist()
-                rows = [
-                    _appended({n.removeprefix(prefix): v for n, v in old.items()}, found[k][key])
-                    for k, old in zip(numbers, before, strict=True)
-                ]
-                table = table.drop_columns(held)
+                stat_columns = [name for name in table.column_names if name.startswith(prefix)]
+                existing_rows = table.select(stat_columns).to_pylist()
+                rows = []
+                for k, row in zip(numbers, existing_rows, strict=True):
+                    existing = {name.removeprefix(prefix): value for name, value in row.items()}
+                    rows.append(_appended(existing, stats_of_episodes[k][key]))
+
+                table = table.drop_columns(stat_columns)
                 for name in rows[0]:
                     column = [np.asarray(row[name]).tolist() for row in rows]
                     table = _set(table, prefix + name, [column])
@@ -222,9 +253,8 @@ class Dataset:
             yield
         except kinds as error:
             text = " ".join(f"{type(error).__name__}: {error}".split())[:200]
-            raise BagError(
-                f"{self.root}: no dataset of LeRobot that can be read: {text}"
-            ) from error
+            fault = f"no dataset of LeRobot that can be read: {text}"
+            raise BagError(f"{self.root}: {fault}") from error
 
 
 def make_dataset(root: Path, lengths: Sequence[int], fps: int) -> Dataset:
@@ -246,32 +276,61 @@ def make_dataset(root: Path, lengths: Sequence[int], fps: int) -> Dataset:
         places = {"chunk_index": k // CHUNK, "file_index": k % CHUNK}
         pq.write_table(pa.table(columns), _make(root / DATA_PATH.format(**places)))
         stats.append({name: _stats(values[:, None]) for name, values in columns.items()})
-        episodes.append(
-            {"episode_index": k, "tasks": [TASK], "length": n}
-            | {"dataset_from_index": begins[k], "dataset_to_index": begins[k + 1]}
-            | {f"data/{name}": place for name, place in places.items()}
-            | {f"meta/episodes/{name}": 0 for name in places}
-            | {f"stats/{key}/{n}": v for key, one in stats[k].items() for n, v in one.items()}
-        )
+
+        episode = {
+            "episode_index": k,
+            "tasks": [TASK],
+            "length": n,
+            "dataset_from_index": begins[k],
+            "dataset_to_index": begins[k + 1],
+        }
+        episodes.append(episode | _places_and_stats(places, stats[k]))
+
     features = {
         name: {"dtype": str(values.dtype), "shape": [1], "names": None}
         for name, values in columns.items()
     }
-    info = {
-        **{"codebase_version": VERSION, "robot_type": None, "total_episodes": len(lengths)},
-        **{"total_frames": sum(lengths), "total_tasks": 1, "chunks_size": CHUNK},
-        **{"data_files_size_in_mb": 100, "video_files_size_in_mb": 200, "fps": fps},
-        **{"splits": {"train": f"0:{len(lengths)}"}, "data_path": DATA_PATH, "video_path": None},
-        "features": features,
-    }
-    of_all = {key: _pooled([one[key] for one in stats]) for key in features}
+    info = _info_of(lengths, fps, features)
+    pooled = {key: _pooled([of_episode[key] for of_episode in stats]) for key in features}
     table = pa.Table.from_pylist(episodes)
     pq.write_table(table, _make(root / "meta/episodes/chunk-000/file-000.parquet"))
     (root / INFO).write_text(json.dumps(info))
-    (root / STATS).write_text(json.dumps(of_all, default=np.ndarray.tolist))
+    (root / STATS).write_text(json.dumps(pooled, default=np.ndarray.tolist))
     (root / README).write_text(CARD)
     _write_tasks(root / TASKS)
     return Dataset(root)
+
+
+def _places_and_stats(places: Mapping[str, int], stats: Mapping[str, Stats]) -> dict[str, Any]:
+    """Columns of an episode that state its files and its statistics."""
+    columns: dict[str, Any] = {}
+    for name, place in places.items():
+        columns[f"data/{name}"] = place
+    for name in places:
+        columns[f"meta/episodes/{name}"] = 0
+    for key, of_feature in stats.items():
+        for name, value in of_feature.items():
+            columns[f"stats/{key}/{name}"] = value
+    return columns
+
+
+def _info_of(lengths: Sequence[int], fps: int, features: Mapping[str, Any]) -> dict[str, Any]:
+    """Content of info.json of a dataset of episodes of so many rows."""
+    return {
+        "codebase_version": VERSION,
+        "robot_type": None,
+        "total_episodes": len(lengths),
+        "total_frames": sum(lengths),
+        "total_tasks": 1,
+        "chunks_size": CHUNK,
+        "data_files_size_in_mb": 100,
+        "video_files_size_in_mb": 200,
+        "fps": fps,
+        "splits": {"train": f"0:{len(lengths)}"},
+        "data_path": DATA_PATH,
+        "video_path": None,
+        "features": features,
+    }
 
 
 def _write_tasks(path: Path) -> None:
@@ -280,12 +339,24 @@ def _write_tasks(path: Path) -> None:
     import pyarrow.parquet as pq
 
     kinds = {"task_index": ("int64", "int64"), "task": ("unicode", "object")}
-    columns = [
-        {"name": name, "field_name": name, "pandas_type": kind, "numpy_type": of, "metadata": None}
-        for name, (kind, of) in kinds.items()
-    ]
-    described = {"index_columns": ["task"], "column_indexes": [], "columns": columns}
-    text = json.dumps(described | {"pandas_version": "2.0.0"})
+    columns = []
+    for name, (pandas_type, numpy_type) in kinds.items():
+        columns.append(
+            {
+                "name": name,
+                "field_name": name,
+                "pandas_type": pandas_type,
+                "numpy_type": numpy_type,
+                "metadata": None,
+            }
+        )
+    about = {
+        "index_columns": ["task"],
+        "column_indexes": [],
+        "columns": columns,
+        "pandas_version": "2.0.0",
+    }
+    text = json.dumps(about)
     table = pa.table({"task_index": [0], "task": [TASK]})
     pq.write_table(table.replace_schema_metadata({"pandas": text}), path)
 
@@ -295,7 +366,10 @@ def _stats(values: npt.NDArray[Any]) -> Stats:
     wide = values.astype(np.float64)
     levels = np.quantile(values, list(QUANTILES.values()), axis=0)
     return {
-        **{name: getattr(wide, name)(axis=0) for name in ("min", "max", "mean", "std")},
+        "min": wide.min(axis=0),
+        "max": wide.max(axis=0),
+        "mean": wide.mean(axis=0),
+        "std": wide.std(axis=0),
         **dict(zip(QUANTILES, levels, strict=True)),
         "count": np.array([len(values)]),
     }
@@ -303,26 +377,35 @@ def _stats(values: npt.NDArray[Any]) -> Stats:
 
 def _pooled(parts: Sequence[Stats]) -> Stats:
     """Statistics of the rows of all episodes; quantiles are means of theirs, as in LeRobot."""
-    of = {name: np.stack([one[name] for one in parts]) for name in parts[0]}
-    n = of["count"][:, 0]
-    means = {name: np.average(of[name], axis=0, weights=n) for name in ("mean", *QUANTILES)}
-    square = np.average(of["std"] ** 2 + (of["mean"] - means["mean"]) ** 2, axis=0, weights=n)
-    ends = {"min": of["min"].min(axis=0), "max": of["max"].max(axis=0), "std": np.sqrt(square)}
-    return {**ends, **means, "count": np.array([n.sum()])}
+    stacked = {name: np.stack([part[name] for part in parts]) for name in parts[0]}
+    # Each episode weighs as many rows as it has.
+    n = stacked["count"][:, 0]
+    means = {name: np.average(stacked[name], axis=0, weights=n) for name in ("mean", *QUANTILES)}
+    # Variance of all rows: within the episodes, and between their means.
+    squares = stacked["std"] ** 2 + (stacked["mean"] - means["mean"]) ** 2
+    variance = np.average(squares, axis=0, weights=n)
+    return {
+        "min": stacked["min"].min(axis=0),
+        "max": stacked["max"].max(axis=0),
+        "std": np.sqrt(variance),
+        **means,
+        "count": np.array([n.sum()]),
+    }
 
 
-def _appended(old: Mapping[str, Any] | None, new: Stats) -> Stats:
+def _appended(existing: Mapping[str, Any] | None, new: Stats) -> Stats:
     """Statistics of the numbers of a feature and of those that are appended to it."""
-    if not old:
+    if not existing:
         return new
-    both = {name: np.append(old[name], new[name]) for name in new if name in old}
-    return both | {"count": new["count"]}
+    appended = {name: np.append(existing[name], new[name]) for name in new if name in existing}
+    return appended | {"count": new["count"]}
 
 
 def _set(table: Any, name: str, column: Any) -> Any:
     """A table of Arrow with a column in place of that of its name, or at the end."""
-    at = table.column_names.index(name) if name in table.column_names else None
-    return table.append_column(name, column) if at is None else table.set_column(at, name, column)
+    if name not in table.column_names:
+        return table.append_column(name, column)
+    return table.set_column(table.column_names.index(name), name, column)
 
 
 def _nested(values: Floats) -> Any:
@@ -333,10 +416,10 @@ def _nested(values: Floats) -> Any:
 
     if values.shape[1:] == (1,):
         values = values[:, 0]
-    made = pa.array(values.ravel())
+    nested = pa.array(values.ravel())
     for n in reversed(values.shape[1:]):
-        made = pa.FixedSizeListArray.from_arrays(made, n)
-    return made
+        nested = pa.FixedSizeListArray.from_arrays(nested, n)
+    return nested
 
 
 def _make(path: Path) -> Path:
@@ -347,6 +430,7 @@ def _make(path: Path) -> Path:
 
 def _link(source: str, target: str) -> None:
     """Link a file, or copy it to another file system."""
+    # A dataset may itself consist of links.
     try:
         os.link(os.path.realpath(source), target)
     except OSError:

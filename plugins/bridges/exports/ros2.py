@@ -34,7 +34,9 @@ from sparseskin.plugins.bridges import cdr
 from sparseskin.plugins.bridges.base import check_installed
 
 _MAX_SECONDS = (1 << 31) - 1
-BOOL, FLOAT, STRING = (f"std_msgs/msg/{name}" for name in ("Bool", "Float32", "String"))
+BOOL = "std_msgs/msg/Bool"
+FLOAT = "std_msgs/msg/Float32"
+STRING = "std_msgs/msg/String"
 
 
 def export_ros2(bag: BagReader, out: Path, topics: Iterable[str] | None = None) -> list[Path]:
@@ -52,17 +54,18 @@ def export_ros2(bag: BagReader, out: Path, topics: Iterable[str] | None = None) 
     check_installed("writing for ROS 2", "ros2", "rosbags", error=BagError)
     from rosbags.rosbag2 import StoragePlugin, Writer
 
-    wanted = with_states(bag, stream_topics(bag, topics))
-    skins = {patch: skin_of(bag, patch) for patch in {patch_of(topic) for topic in wanted}}
+    read_topics = with_states(bag, stream_topics(bag, topics))
+    patches = {patch_of(topic) for topic in read_topics}
+    skins = {patch: skin_of(bag, patch) for patch in patches}
     connections: dict[str, Any] = {}
     with whole_folder(out):
         out.rmdir()  # the writer makes it
         with Writer(out, version=8, storage_plugin=StoragePlugin.MCAP) as writer:
-            for message, log_time_ns in streams(bag, wanted, "export"):
+            for message, log_time_ns in streams(bag, read_topics, "export"):
                 for topic, kind, data in _messages(message, skins[message.patch], bag.path):
                     if topic not in connections:
-                        made = writer.add_connection(topic, kind, typestore=cdr.types())
-                        connections[topic] = made
+                        connection = writer.add_connection(topic, kind, typestore=cdr.types())
+                        connections[topic] = connection
                     writer.write(connections[topic], log_time_ns, data)
         return sorted(out.iterdir())
 
@@ -73,18 +76,21 @@ def _messages(
     """Topic, type and CDR of all that is written of one message."""
     topic = message.topic
     values = values_alone(message)
+    forces = values.get("forces")
     stamp = divmod(message.stamp_ns, 1_000_000_000)
-    if stamp[0] > _MAX_SECONDS:
+    seconds, _ = stamp
+    if seconds > _MAX_SECONDS:
         raise BagError(f"{path}: stamp {message.stamp_ns} is beyond what ROS 2 holds, 2**31 s")
 
     def image(array: npt.NDArray[np.float32]) -> tuple[str, bytes]:
         return cdr.IMAGE, cdr.image(stamp, message.patch, array)
 
-    def one(kind: str, value: object) -> tuple[str, bytes]:
+    def scalar(kind: str, value: object) -> tuple[str, bytes]:
         return kind, cdr.encoded(kind, data=value)
 
+    # States are texts, as ROS has no messages for them.
     if isinstance(message, STATES):
-        yield topic, *one(STRING, json.dumps(state_json(message)))
+        yield topic, *scalar(STRING, json.dumps(state_json(message)))
     elif isinstance(message, Contacts):
         yield f"{topic}/wrench", cdr.WRENCH, cdr.contact_wrench(stamp, message)
         yield f"{topic}/array", cdr.ARRAY, cdr.contact_array(message)
@@ -92,14 +98,16 @@ def _messages(
             yield f"{topic}/markers", cdr.MARKERS, cdr.contact_markers(stamp, message, skin)
     elif isinstance(message, Measurements):
         yield topic, *image(np.asarray(message.y))
-    elif (forces := values.get("forces")) is not None:
+    elif forces is not None:
         yield topic, *image(forces)
-        yield f"{topic}/total_force", *one(FLOAT, float(forces.sum(dtype=np.float64)))
+        total = float(forces.sum(dtype=np.float64))
+        yield f"{topic}/total_force", *scalar(FLOAT, total)
+
     if isinstance(message, Reconstruction):
-        yield f"{topic}/residual", *one(FLOAT, values["residual"])
+        yield f"{topic}/residual", *scalar(FLOAT, values["residual"])
         if values["sd"] is not None:
             yield f"{topic}/sd", *image(values["sd"])
         if values["error"] is not None:
-            yield f"{topic}/error", *one(FLOAT, values["error"])
+            yield f"{topic}/error", *scalar(FLOAT, values["error"])
         if values["error"] is not None or not values["trusted"]:
-            yield f"{topic}/trusted", *one(BOOL, values["trusted"])
+            yield f"{topic}/trusted", *scalar(BOOL, values["trusted"])

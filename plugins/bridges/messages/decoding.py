@@ -76,9 +76,11 @@ class Decoder:
     def __init__(self, definitions: Definitions, kind: str) -> None:
         self._kind = kind
         self._is_cdr = definitions.ros == 2
-        orders = ORDERS.values() if self._is_cdr else ("<",)
+        orders = ["<"]
+        if self._is_cdr:
+            orders = list(ORDERS.values())
         readers = {order: _Readers(definitions, order) for order in orders}
-        self._read = {order: found.message(kind) for order, found in readers.items()}
+        self._read = {order: of_order.message(kind) for order, of_order in readers.items()}
         self._least_bytes = readers["<"].least_bytes(kind)
 
     def decode(self, data: bytes) -> Message:
@@ -90,6 +92,7 @@ class Decoder:
                 raise SourceError(f"no {self._kind}: encapsulation {data[:2].hex() or 'missing'}")
             order = ORDERS[data[:2]]
             body = memoryview(data)[ENCAPSULATION_BYTES:]
+
         if self._least_bytes > len(body) + SPARE_BYTES:
             raise SourceError(f"no {self._kind}: it has {len(body)} bytes")
         try:
@@ -125,9 +128,10 @@ class _Readers:
             for member in self._definitions.members(kind):
                 if member.n_entries == SEQUENCE:
                     total += 4
+                elif member.n_entries is None:
+                    total += self.least_bytes(member.kind)
                 else:
-                    n = 1 if member.n_entries is None else member.n_entries
-                    total += n * self.least_bytes(member.kind)
+                    total += member.n_entries * self.least_bytes(member.kind)
             self._least[kind] = max(1, total)
         return self._least[kind]
 
@@ -137,8 +141,12 @@ class _Readers:
             return self._messages[kind]
         if kind in self._open or len(self._open) >= MAX_DEPTH:
             raise SourceError(f"the definition of {printable(kind)} is nested too deep")
+
+        # Types within which this one is read, so that none is nested within itself.
         self._open.append(kind)
-        members = [(one.name, self._member(one)) for one in self._definitions.members(kind)]
+        members = [
+            (member.name, self._member(member)) for member in self._definitions.members(kind)
+        ]
         self._open.pop()
 
         def read(data: Buffer, at: int) -> tuple[Any, int]:
@@ -155,32 +163,36 @@ class _Readers:
         count = member.n_entries
         if count is not None and count > MAX_COUNT:
             raise SourceError(f"{printable(member.name)}: a list of {count} entries")
+
         if kind in BASES:
-            one = _scalar(self._order, BASES[kind], self._is_cdr)
+            read_value = _scalar(self._order, BASES[kind], self._is_cdr)
         elif kind == STRING:
-            one = self._text()
+            read_value = self._text()
         elif "/" in kind:
-            one = self.message(kind)
+            read_value = self.message(kind)
         else:
             raise SourceError(f"{printable(member.name)}: {printable(kind)} is not read")
+
         if count is None:
-            return one
+            return read_value
         if kind in BASES:
             return self._numbers(np.dtype(self._order + BASES[kind]), count)
         if kind == STRING:
-            return self._list(kind, one, count)
-        return self._structs(kind, one, count)
+            return self._list(kind, read_value, count)
+        return self._structs(kind, read_value, count)
 
     def _text(self) -> Read:
         read_count = self._count
-        end = 1 if self._is_cdr else 0
+        # CDR ends a text with a zero.
+        n_end_bytes = 1 if self._is_cdr else 0
 
         def read(data: Buffer, at: int) -> tuple[str, int]:
             n_bytes, at = read_count(data, at)
             stop = at + n_bytes
             if stop > len(data):
                 raise SourceError("a text is longer than its message")
-            return bytes(data[at : max(at, stop - end)]).decode("utf-8", "replace"), stop
+            text = bytes(data[at : max(at, stop - n_end_bytes)])
+            return text.decode("utf-8", "replace"), stop
 
         return read
 
@@ -204,29 +216,31 @@ class _Readers:
 
         def read(data: Buffer, at: int) -> tuple[npt.NDArray[Any], int]:
             n, at = read_length(data, at)
+            # An empty list is not aligned.
             if n:
                 at = (at + align - 1) & -align
-            return np.ndarray((n,), dtype, data, at), at + n * dtype.itemsize
+            numbers = np.ndarray((n,), dtype, data, at)
+            return numbers, at + n * dtype.itemsize
 
         return read
 
-    def _list(self, kind: str, one: Read, count: int) -> Read:
+    def _list(self, kind: str, read_value: Read, count: int) -> Read:
         read_length = self._length(count, self.least_bytes(kind))
 
         def read(data: Buffer, at: int) -> tuple[list[Any], int]:
             n, at = read_length(data, at)
             values = []
             for _ in range(n):
-                value, at = one(data, at)
+                value, at = read_value(data, at)
                 values.append(value)
             return values, at
 
         return read
 
-    def _structs(self, kind: str, one: Read, count: int) -> Read:
+    def _structs(self, kind: str, read_value: Read, count: int) -> Read:
         """The reader of a list of messages, whose numbers are one array where all have one size."""
         read_length = self._length(count, self.least_bytes(kind))
-        read_list = self._list(kind, one, count)
+        read_list = self._list(kind, read_value, count)
         phases = self._phases
         layouts = [self._fixed(kind, phase) for phase in range(phases)]
         align = self._first_align(kind)
@@ -241,7 +255,8 @@ class _Readers:
             if fixed is None or not n:
                 return read_list(data, begin)
             stop = at + (n - 1) * fixed.stride + fixed.dtype.itemsize
-            return np.ndarray((n,), fixed.dtype, data, at, (fixed.stride,)), stop
+            records = np.ndarray((n,), fixed.dtype, data, at, (fixed.stride,))
+            return records, stop
 
         return read
 
@@ -252,7 +267,9 @@ class _Readers:
         if "/" not in kind:
             return np.dtype(BASES.get(kind, "u4")).itemsize
         members = self._definitions.members(kind)
-        return self._first_align(members[0].kind) if members else 1
+        if not members:
+            return 1
+        return self._first_align(members[0].kind)
 
     def _fixed(self, kind: str, phase: int) -> Fixed | None:
         """The places of the numbers in each message of a list that begins at such a byte; None if
@@ -264,13 +281,16 @@ class _Readers:
         align = self._first_align(kind)
         stop = phase + dtype.itemsize
         stride = ((stop + align - 1) & -align) - phase
+
+        # Wherever a later message of the list begins, its numbers must have the same places.
         begins = {(phase + k * stride) % self._phases for k in range(self._phases)}
-        is_regular = all(self._places(kind, begin) == dtype for begin in begins)
-        return Fixed(dtype, stride) if is_regular else None
+        if any(self._places(kind, begin) != dtype for begin in begins):
+            return None
+        return Fixed(dtype, stride)
 
     def _places(self, kind: str, phase: int) -> np.dtype[Any] | None:
         """The dtype of a message that begins at such a byte; None if it has no one size."""
-        key = kind, phase
+        key = (kind, phase)
         if key not in self._dtypes:
             self._dtypes[key] = self._dtype(kind, phase)
         return self._dtypes[key]
@@ -285,6 +305,7 @@ class _Readers:
             is_message = "/" in member.kind and member.n_entries is None
             if not (is_number or is_message):
                 return None
+
             align = self._first_align(member.kind)
             at = (at + align - 1) & -align
             dtype: np.dtype[Any] | None = None
@@ -292,13 +313,20 @@ class _Readers:
                 dtype = self._places(member.kind, at % self._phases)
             else:
                 dtype = np.dtype(self._order + BASES[member.kind])
-            n = 1 if member.n_entries is None else member.n_entries
-            if dtype is None or n * dtype.itemsize > MAX_FIXED_BYTES:
+            if dtype is not None and member.n_entries is not None:
+                # Compared first: a dtype of this size would not be made.
+                if member.n_entries * dtype.itemsize > MAX_FIXED_BYTES:
+                    return None
+                dtype = np.dtype((dtype, (member.n_entries,)))
+            if dtype is None or dtype.itemsize > MAX_FIXED_BYTES:
                 return None
+
             names.append(member.name)
-            formats.append(dtype if member.n_entries is None else np.dtype((dtype, (n,))))
+            formats.append(dtype)
             offsets.append(at - phase)
-            at += n * dtype.itemsize
+            at += dtype.itemsize
+
+        # A dtype cannot have two fields of one name.
         if not 0 < at - phase <= MAX_FIXED_BYTES or len(set(names)) < len(names):
             return None
         places: Any = {

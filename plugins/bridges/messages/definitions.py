@@ -76,10 +76,11 @@ class Definitions:
         if len(text) > MAX_TEXT_BYTES:
             limit = f"at most {MAX_TEXT_BYTES}"
             raise SourceError(f"the definition of {printable(kind)} has {len(text)} bytes; {limit}")
-        found = _of_idl(text) if form == "idl" else dict(_of_msg(kind, text, self.ros))
-        if kind not in found:
+
+        types_of_text = _of_idl(text) if form == "idl" else dict(_of_msg(kind, text, self.ros))
+        if kind not in types_of_text:
             raise SourceError(f"the definition of {printable(kind)} does not define it")
-        self._added = found | self._added
+        self._added = types_of_text | self._added
 
     def is_of_ros(self, kind: str) -> bool:
         """True if ROS itself has a type of that name."""
@@ -97,8 +98,9 @@ class Definitions:
 def full_name(kind: str) -> str:
     """The name of a type as ROS 2 has it: "pkg/Name" is "pkg/msg/Name"."""
     package, _, name = kind.rpartition("/")
-    is_short = bool(package) and "/" not in package
-    return f"{package}/msg/{name}" if is_short else kind
+    if not package or "/" in package:
+        return kind
+    return f"{package}/msg/{name}"
 
 
 def _of_msg(kind: str, text: str, ros: int) -> Iterator[tuple[str, Members]]:
@@ -107,10 +109,11 @@ def _of_msg(kind: str, text: str, ros: int) -> Iterator[tuple[str, Members]]:
     for number, part in enumerate(parts):
         name = kind
         if number:
-            head, _, part = part.partition("\n")
-            if not head.startswith("MSG:"):
+            heading, _, part = part.partition("\n")
+            if not heading.startswith("MSG:"):
                 raise SourceError(f"the definition of {printable(kind)} has a part without a name")
-            name = full_name(head.removeprefix("MSG:").strip())
+            name = full_name(heading.removeprefix("MSG:").strip())
+
         members = tuple(_members(name, part, ros))
         # A message of ROS 2 is never without a byte.
         if not members and ros == 2:
@@ -120,20 +123,23 @@ def _of_msg(kind: str, text: str, ros: int) -> Iterator[tuple[str, Members]]:
 
 def _members(kind: str, text: str, ros: int) -> Iterator[Member]:
     """The members in a definition .msg, whose constants and defaults are not read."""
-    for number, whole in enumerate(text.splitlines(), start=1):
-        line = whole.partition("#")[0].strip()
+    for number, full_line in enumerate(text.splitlines(), start=1):
+        line = full_line.partition("#")[0].strip()
         if not line or line.startswith("@"):
             continue
         match = LINE.fullmatch(line)
         if match is None:
             place = f"the definition of {printable(kind)}, line {number}"
             raise SourceError(f"{place}: {printable(line[:60])!r} is no member")
-        if (match["rest"] or "").lstrip().startswith("="):
+        is_constant = (match["rest"] or "").lstrip().startswith("=")
+        if is_constant:
             continue
+
         count = None
-        if match["list"]:
-            is_fixed = bool(match["count"]) and not match["limit"]
-            count = int(match["count"][:12]) if is_fixed else SEQUENCE
+        if match["count"] and not match["limit"]:
+            count = int(match["count"][:12])
+        elif match["list"]:
+            count = SEQUENCE
         yield Member(match["name"], _type(match["type"], kind, ros), count)
 
 
@@ -154,26 +160,31 @@ def _of_idl(text: str) -> dict[str, Members]:
     """The types in a definition .idl."""
     from rosbags.typesys import get_types_from_idl
 
-    found: dict[str, Any] = {}
+    types: dict[str, Any] = {}
     try:
         # Those of its members follow it, each behind a line of = and its name.
         lines = re.sub(r"^[ \t]*(#include|//).*", "", text, flags=re.MULTILINE)
-        for part in re.split(r"^={3,}[ \t]*\r?\nIDL:.*\n", lines, flags=re.MULTILINE):
+        parts = re.split(r"^={3,}[ \t]*\r?\nIDL:.*\n", lines, flags=re.MULTILINE)
+        for part in parts:
             if part.strip():
-                found |= get_types_from_idl(part)
+                types |= get_types_from_idl(part)
     except Exception as error:  # of its parser, at any text
         reason = " ".join(str(error).split())[:100]
         raise SourceError(f"a definition .idl cannot be read: {printable(reason)}") from error
-    return {kind: tuple(_of_store(members)) for kind, (_, members) in found.items()}
+    return {kind: tuple(_of_store(members)) for kind, (_, members) in types.items()}
 
 
 def _of_store(members: Any) -> Iterator[Member]:
     """Members as rosbags has them: (name, (node, what it is of))."""
     from rosbags.interfaces import Nodetype
 
-    for name, (node, of) in members:
+    for name, (node, detail) in members:
         count = None
-        if node in (Nodetype.ARRAY, Nodetype.SEQUENCE):
-            count = of[1] if node == Nodetype.ARRAY else SEQUENCE
-            node, of = of[0]
-        yield Member(name, of if node == Nodetype.NAME else of[0], count)
+        if node == Nodetype.ARRAY:
+            (node, detail), count = detail
+        elif node == Nodetype.SEQUENCE:
+            node, detail = detail[0]
+            count = SEQUENCE
+
+        kind = detail if node == Nodetype.NAME else detail[0]
+        yield Member(name, kind, count)

@@ -43,7 +43,8 @@ def steps_of(path: str) -> list[Step]:
             allowed = "allowed: names and [k] or [], as sensors[0].taxels[].z"
             raise SourceError(f"field: {printable(path[:60])!r}; {allowed}")
         steps.append(match[1])
-        steps += [int(index) if index else None for index in INDEX.findall(match[2])]
+        for index in INDEX.findall(match[2]):
+            steps.append(int(index) if index else None)
     return steps
 
 
@@ -56,8 +57,9 @@ def numbers_at(message: Message, path: str) -> Numbers:
     """
     if message.kind in KINDS and (not path or path in fields_of(message)):
         return grid_of(message, path)
-    found = _walk(message, steps_of(path), 0, ())
-    values = found.values
+
+    walked = _walk(message, steps_of(path), 0, ())
+    values = walked.values
     if values.size == 0:
         raise EmptyMessageError("holds no number")
     if values.size > MAX_NUMBERS:
@@ -66,9 +68,10 @@ def numbers_at(message: Message, path: str) -> Numbers:
         values = values.view(np.uint8)
     if values.dtype.kind not in "iuf":
         raise SourceError(f"field: {printable(path[:60])!r} holds no numbers")
-    if found.is_grid:
-        return Numbers(values, found.axes)
-    return _joined(found._replace(values=values))
+
+    if walked.is_grid:
+        return Numbers(values, walked.axes)
+    return _joined(walked._replace(values=values))
 
 
 def value_at(message: Message, path: str) -> int | float | Message:
@@ -79,6 +82,7 @@ def value_at(message: Message, path: str) -> int | float | Message:
             value = value[step]
     except (KeyError, IndexError, TypeError, ValueError) as error:
         raise SourceError(f"time: there is no field {printable(path[:60])!r}") from error
+
     if isinstance(value, np.generic):
         value = value.item()
     if isinstance(value, Message) and value.kind == TIME:
@@ -92,14 +96,19 @@ def paths_of(message: Message, channel: str = "") -> dict[str, Numbers]:
     """The fields of a message that hold lists of numbers, by their path: of fields named x, y and z
     beside each other that of the channel, or z.
     """
-    found: dict[str, Numbers] = {}
+    fields: dict[str, Numbers] = {}
     for path in only_channel(_paths(message), channel):
         try:
-            found[path] = numbers_at(message, path)
+            fields[path] = numbers_at(message, path)
         except SourceError:  # empty, or of several lengths
             continue
-    readings = {p: numbers for p, numbers in found.items() if not NO_READINGS.fullmatch(_last(p))}
-    return readings or found
+
+    readings = {
+        path: numbers
+        for path, numbers in fields.items()
+        if not NO_READINGS.fullmatch(_last_name(path))
+    }
+    return readings or fields
 
 
 class _Walked(NamedTuple):
@@ -134,25 +143,27 @@ def _walk(value: Any, steps: list[Step], n_open: int, axes: tuple[Axis, ...]) ->
                 value = _entry(value, step, name, n_open)
         else:
             raise SourceError(f"field: {printable(name)!r} is no list")
-        name = step if isinstance(step, str) else name
+        if isinstance(step, str):
+            name = step
 
     if isinstance(value, Message) and value.kind in KINDS:
         grid = grid_of(value)
         return _Walked(grid.values, (*axes, *grid.axes), True)
     if not isinstance(value, np.ndarray | int | float):
         raise SourceError("field: a list of messages; state [] or [k], and the name of a number")
+
     values = np.asarray(value)
-    rest = tuple(Axis(size, name) for size in values.shape[n_open:])
-    ends_in_list = bool(rest) or steps[-1] is None
-    return _Walked(values, (*axes, *rest), has_channels=ends_in_list)
+    inner_axes = tuple(Axis(size, name) for size in values.shape[n_open:])
+    has_channels = bool(inner_axes) or steps[-1] is None
+    return _Walked(values, (*axes, *inner_axes), has_channels=has_channels)
 
 
 def _of_message(message: Message, step: Step) -> Any:
     if isinstance(step, str) and step in message:
         return message[step]
     names = ", ".join(printable(name) for name in [*message][:MAX_LISTED])
-    shown = "[]" if step is None else printable(str(step))
-    raise SourceError(f"field: {message.kind} has no member {shown}; it has {names}")
+    step_text = "[]" if step is None else printable(str(step))
+    raise SourceError(f"field: {message.kind} has no member {step_text}; it has {names}")
 
 
 def _member_of(array: Any, name: str) -> Any:
@@ -171,53 +182,62 @@ def _entry(values: Any, step: Step, name: str, n_open: int = 0) -> Any:
         raise EmptyMessageError("holds no number")
     if step >= size:
         raise SourceError(f"field: {name}[{step}]: its list has {size} entries")
+
     if isinstance(values, list):
         return values[step]
-    return np.asarray(values[(*[slice(None)] * n_open, step)])
+    open_axes = [slice(None)] * n_open
+    return np.asarray(values[(*open_axes, step)])
 
 
 def _stacked(values: list[Any], steps: list[Step], name: str, axes: tuple[Axis, ...]) -> _Walked:
     """The numbers of each entry of a list, together."""
     if not values:
         raise EmptyMessageError("holds no number")
+
     parts = [_walk(value, steps, 0, ()) for value in values]
     shapes = {part.values.shape for part in parts}
     if len(shapes) > 1:
         sizes = ", ".join(str(part.values.size) for part in parts[:MAX_LISTED])
         raise SourceError(f"field: the entries of {name} hold {sizes} numbers; state {name}[0]")
+
     stacked = np.stack([part.values for part in parts])
-    inner = parts[0]
-    return inner._replace(values=stacked, axes=(*axes, Axis(len(values), name), *inner.axes))
+    entry_axes = parts[0].axes
+    return parts[0]._replace(values=stacked, axes=(*axes, Axis(len(values), name), *entry_axes))
 
 
-def _joined(found: _Walked) -> Numbers:
+def _joined(walked: _Walked) -> Numbers:
     """Numbers whose axes are labelled, or one."""
-    axes = found.axes
-    n = found.values.size
-    is_labelled = len(axes) > 1 and any(axis.label.lower() in (*ROWS, *COLS) for axis in axes)
-    if not is_labelled:
-        n_last = axes[-1].size if len(axes) > 1 and found.has_channels else 1
+    axes = walked.axes
+    n = walked.values.size
+    # Axes that nothing names are one, in the order of the message.
+    has_labels = any(axis.label.lower() in (*ROWS, *COLS) for axis in axes)
+    if len(axes) < 2 or not has_labels:
+        # The last axis may be x, y and z.
+        n_channels = 1
+        if len(axes) > 1 and walked.has_channels:
+            n_channels = axes[-1].size
         axes = (Axis(n, "taxels"),)
-        if n_last in (2, len(XYZ)):
-            axes = (Axis(n // n_last, "taxels"), Axis(n_last, "channel"))
-    return Numbers(found.values.reshape([axis.size for axis in axes]), axes)
+        if n_channels in (2, len(XYZ)):
+            axes = (Axis(n // n_channels, "taxels"), Axis(n_channels, "channel"))
+    return Numbers(walked.values.reshape([axis.size for axis in axes]), axes)
 
 
-def _last(path: str) -> str:
+def _last_name(path: str) -> str:
     """The last name of a path."""
     return path.rpartition(".")[2].partition("[")[0].lower()
 
 
 def _paths(message: Message) -> list[str]:
-    found = []
+    paths = []
     for name, value in message.items():
         if name == "header":
             continue
+        # A message of many members may have any number of paths.
         for ending in _endings(value, False):
-            found.append(name + ending)
-            if len(found) >= MAX_PATHS:
-                return found
-    return found
+            paths.append(name + ending)
+            if len(paths) >= MAX_PATHS:
+                return paths
+    return paths
 
 
 def _endings(value: Any, is_listed: bool) -> Iterator[str]:
@@ -240,17 +260,17 @@ def _endings(value: Any, is_listed: bool) -> Iterator[str]:
     elif isinstance(value, list) and value:
         endings = list(_endings(value[0], True))
         # Numbers beside lists are about the entry: it is a skin, and no taxel.
-        of_lists = [ending for ending in endings if "[]" in ending]
-        for ending in of_lists or endings:
+        endings_of_lists = [ending for ending in endings if "[]" in ending]
+        for ending in endings_of_lists or endings:
             yield from _of_list(len(value), ending, value[0])
     elif is_listed and isinstance(value, int | float) and not isinstance(value, bool):
         yield ""
 
 
-def _of_list(n: int, ending: str, first: Any) -> Iterator[str]:
+def _of_list(n: int, ending: str, entry: Any) -> Iterator[str]:
     """The paths into a list of messages: all entries, and each of them where it may be a skin."""
-    has_lists = "[]" in ending or (isinstance(first, Message) and first.kind in KINDS)
-    if not has_lists:
+    is_frame = isinstance(entry, Message) and entry.kind in KINDS
+    if "[]" not in ending and not is_frame:
         yield "[]" + ending
         return
     yield from (f"[{k}]{ending}" for k in range(min(n, MAX_LISTED)))
@@ -273,15 +293,21 @@ def _of_dtype(dtype: np.dtype[Any]) -> Iterator[str]:
 
 def only_channel(paths: Iterable[str], channel: str) -> list[str]:
     """Of paths that end with x, y and z beside each other, that of the channel, or z."""
-    every = list(paths)
-    wanted = channel.lower() if channel.lower() in XYZ else NORMAL
-    chosen = []
-    for path in every:
-        whole, lists = ENDING.fullmatch(path).groups()  # type: ignore[union-attr]
-        stem = whole[:-1]
-        letter = whole[-1:]
-        axes = XYZ if letter.islower() else tuple(axis.upper() for axis in XYZ)
-        is_one_of_three = letter in axes and all(stem + axis + lists in every for axis in axes)
-        if not is_one_of_three or letter.lower() == wanted:
-            chosen.append(path)
-    return chosen
+    all_paths = list(paths)
+    letter_wanted = NORMAL
+    if channel.lower() in XYZ:
+        letter_wanted = channel.lower()
+
+    chosen_paths = []
+    for path in all_paths:
+        name, brackets = ENDING.fullmatch(path).groups()  # type: ignore[union-attr]
+        stem = name[:-1]
+        letter = name[-1:]
+        axes: tuple[str, ...] = XYZ
+        if not letter.islower():
+            axes = tuple(axis.upper() for axis in XYZ)
+        beside = [stem + axis + brackets for axis in axes]
+        is_one_of_three = letter in axes and all(sibling in all_paths for sibling in beside)
+        if not is_one_of_three or letter.lower() == letter_wanted:
+            chosen_paths.append(path)
+    return chosen_paths

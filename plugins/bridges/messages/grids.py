@@ -67,12 +67,15 @@ def fields_of(message: Message, readings: bool = False) -> dict[str, str]:
     """
     if message.kind != CLOUD:
         return {}
-    return {
-        field["name"]: FIELDS[field["datatype"]]
-        for field in message["fields"]
-        if 1 <= field["datatype"] < len(FIELDS)
-        and not (readings and PLACES.fullmatch(field["name"]))
-    }
+    dtypes = {}
+    for field in message["fields"]:
+        name = field["name"]
+        if not 1 <= field["datatype"] < len(FIELDS):
+            continue
+        if readings and PLACES.fullmatch(name):
+            continue
+        dtypes[name] = FIELDS[field["datatype"]]
+    return dtypes
 
 
 def _image(message: Message) -> Numbers:
@@ -82,35 +85,38 @@ def _image(message: Message) -> Numbers:
         raise SourceError(f"encoding {printable(encoding[:32])!r}; allowed are {ALLOWED}")
     n_bits = int(match[1] or match[4])
     code = KINDS_OF_NUMBERS[match[2] or "U"] + str(n_bits // 8)
-    if code == "f1" or code == "f2":
+    if code in ("f1", "f2"):
         raise SourceError(f"encoding {encoding!r}; allowed are {ALLOWED}")
+
     n_channels = int(match[3] or 1)
     pitch = n_channels * n_bits // 8
     values = _cells(message, message["step"], pitch, 0, code, n_channels)
-    axes: tuple[Axis, ...] = (Axis(message["height"], "rows"), Axis(message["width"], "cols"))
-    if n_channels > 1:
-        axes = (*axes, Axis(n_channels, "xyz" if n_channels == 3 else "channel"))
-    return Numbers(values, axes)
+    axes = [Axis(message["height"], "rows"), Axis(message["width"], "cols")]
+    if n_channels == 3:
+        axes.append(Axis(n_channels, "xyz"))
+    elif n_channels > 1:
+        axes.append(Axis(n_channels, "channel"))
+    return Numbers(values, tuple(axes))
 
 
 def _cloud(message: Message, field: str) -> Numbers:
     readable = fields_of(message, readings=not field)
     name = choose(readable, field, "point cloud", "fields of readings", "field")
-    place = next(one for one in message["fields"] if one["name"] == name)
-    values = _cells(
-        message,
-        message["row_step"],
-        message["point_step"],
-        place["offset"],
-        readable[name],
-        max(1, place["count"]),
-    )
-    axes: tuple[Axis, ...] = (Axis(message["height"], "rows"), Axis(message["width"], "cols"))
-    if message["height"] == 1 or message["width"] == 1:
-        axes = (Axis(message["height"] * message["width"], "taxels"),)
-    if place["count"] > 1:
-        axes = (*axes, Axis(place["count"], "channel"))
-    return Numbers(values.reshape([axis.size for axis in axes]), axes)
+    of_name = next(field for field in message["fields"] if field["name"] == name)
+    count = max(1, of_name["count"])
+    row_step = message["row_step"]
+    point_step = message["point_step"]
+    values = _cells(message, row_step, point_step, of_name["offset"], readable[name], count)
+
+    height = message["height"]
+    width = message["width"]
+    # An unordered cloud states a height of 1.
+    axes = [Axis(height, "rows"), Axis(width, "cols")]
+    if height == 1 or width == 1:
+        axes = [Axis(height * width, "taxels")]
+    if count > 1:
+        axes.append(Axis(count, "channel"))
+    return Numbers(values.reshape([axis.size for axis in axes]), tuple(axes))
 
 
 def _cells(
@@ -126,14 +132,21 @@ def _cells(
         raise EmptyMessageError("holds no number")
     if n_rows * n_cols * n > MAX_NUMBERS:
         raise SourceError(f"{n_rows} x {n_cols} taxels; at most {MAX_NUMBERS} numbers")
-    dtype = np.dtype((">" if message["is_bigendian"] else "<") + code)
+
+    order = ">" if message["is_bigendian"] else "<"
+    dtype = np.dtype(order + code)
     end = offset + n * dtype.itemsize
     if step < n_cols * pitch or data.size != step * n_rows or end > pitch:
         sizes = f"{n_rows} x {n_cols} of {pitch} bytes"
         raise SourceError(f"rows of {step} bytes, {data.size} bytes in all, for {sizes}")
+
+    # Rows and cells may have padding.
     shape = (n_rows, n_cols, n)
-    values: npt.NDArray[Any] = np.ndarray(shape, dtype, data, offset, (step, pitch, dtype.itemsize))
-    return values[..., 0] if n == 1 else values
+    strides = (step, pitch, dtype.itemsize)
+    values: npt.NDArray[Any] = np.ndarray(shape, dtype, data, offset, strides)
+    if n == 1:
+        return values[..., 0]
+    return values
 
 
 def _array(message: Message) -> Numbers:
@@ -145,24 +158,29 @@ def _array(message: Message) -> Numbers:
         raise EmptyMessageError("holds no number")
     if len(dims) > MAX_DIMS:
         raise SourceError(f"{len(dims)} dimensions; at most {MAX_DIMS}")
+
     sizes = [int(dim["size"]) for dim in dims]
     if not any(sizes):
         # Its dimensions state nothing.
-        rest = data[offset:]
-        return Numbers(rest, (Axis(rest.size, "taxels"),))
+        numbers = data[offset:]
+        return Numbers(numbers, (Axis(numbers.size, "taxels"),))
     if 0 in sizes:
         raise EmptyMessageError("holds no number")
+
     axes = tuple(_axis(size, str(dim["label"])) for size, dim in zip(sizes, dims, strict=True))
-    steps = _steps(sizes, [int(dim["stride"]) for dim in dims], data.size - offset)
-    strides = [step * data.itemsize for step in steps]
-    return Numbers(np.ndarray(sizes, data.dtype, data, offset * data.itemsize, strides), axes)
+    strides = [int(dim["stride"]) for dim in dims]
+    steps = _steps(sizes, strides, data.size - offset)
+    strides_bytes = [step * data.itemsize for step in steps]
+    values = np.ndarray(sizes, data.dtype, data, offset * data.itemsize, strides_bytes)
+    return Numbers(values, axes)
 
 
 def _axis(size: int, label: str) -> Axis:
     """An axis, with the names of its entries where its label is a list of them."""
     names = tuple(name.strip() for name in label.split(","))
-    is_list = len(names) == size > 1
-    return Axis(size, "channel" if is_list else label, names if is_list else ())
+    if len(names) == size > 1:
+        return Axis(size, "channel", names)
+    return Axis(size, label)
 
 
 def _steps(sizes: list[int], strides: list[int], n: int) -> list[int]:
@@ -171,16 +189,16 @@ def _steps(sizes: list[int], strides: list[int], n: int) -> list[int]:
     The stride of a dimension is the size of one of its entries' lists: entry (i, j) stands at
     stride[1] i + j. Where the numbers are as many as the sizes, no other order is possible.
     """
-    dense = [prod(sizes[at + 1 :]) for at in range(len(sizes))]
-    n_sizes = prod(sizes)
-    if n_sizes == n:
-        return dense
+    if prod(sizes) == n:
+        return [prod(sizes[at + 1 :]) for at in range(len(sizes))]
+
     steps = [*strides[1:], 1]
     spans = [size * step for size, step in zip(sizes, steps, strict=True)]
     is_nested = all(span <= step for span, step in zip(spans[1:], steps, strict=False))
-    last = sum((size - 1) * step for size, step in zip(sizes, steps, strict=True))
-    if is_nested and last < n and spans[0] == n:
+    last_place = sum((size - 1) * step for size, step in zip(sizes, steps, strict=True))
+    if is_nested and last_place < n and spans[0] == n:
         return steps
+
     shape = " x ".join(map(str, sizes))
     fault = f"its dimensions {shape} with strides {strides} do not fit its {n} numbers"
     raise UnstatedError(f"{fault}; state field=data to read all of them", {"field": "data"})

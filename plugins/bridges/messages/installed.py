@@ -23,32 +23,41 @@ def learn(kind: str) -> None:
     from rosbags.typesys import get_types_from_msg
 
     store = types()
-    found: dict[str, Any] = {}
+    new_types: dict[str, Any] = {}
     waiting = [kind]
     while waiting:
         name = waiting.pop()
-        if name in store.fielddefs or name in found or len(found) > MAX_TYPES:
+        if name in store.fielddefs or name in new_types or len(new_types) > MAX_TYPES:
             continue
+
         text = _text(name)
         try:
-            of_name = get_types_from_msg(text, name)
+            types_of_text = get_types_from_msg(text, name)
         except Exception as error:  # of its parser, at any text
             raise SourceError(f"the definition of {printable(name)} cannot be read") from error
-        found |= of_name
-        for _, (node, of) in of_name[name][1]:
-            is_list = node in (Nodetype.ARRAY, Nodetype.SEQUENCE)
-            nested: Any = of[0] if is_list else (node, of)
+        new_types |= types_of_text
+
+        # The types of its members, and of the entries of its lists.
+        _, members = types_of_text[name]
+        for _, entry in members:
+            node, detail = entry
+            nested: Any = entry
+            if node in (Nodetype.ARRAY, Nodetype.SEQUENCE):
+                nested = detail[0]
             if nested[0] == Nodetype.NAME:
                 waiting.append(nested[1])
-    if found:
-        store.register(found)
+
+    if new_types:
+        store.register(new_types)
 
 
 def _text(kind: str) -> str:
     """The definition of a type, as its package has it."""
     package, _, name = kind.partition("/msg/")
-    is_name = package.isidentifier() and name.isidentifier()
-    for prefix in os.environ.get(PREFIXES, "").split(os.pathsep) if is_name else ():
+    prefixes: list[str] = []
+    if package.isidentifier() and name.isidentifier():
+        prefixes = os.environ.get(PREFIXES, "").split(os.pathsep)
+    for prefix in prefixes:
         path = Path(prefix) / "share" / package / "msg" / f"{name}.msg"
         if prefix and path.is_file():
             return path.read_text("utf-8", "replace")

@@ -384,7 +384,7 @@ def test_rows_are_simulated_in_processes_as_in_this_one():
 
 
 def test_larger_taxels_are_read_as_an_array_of_m_and_sums_are_rounded_to_the_bits():
-    design = make_design({"rows": 16, "cols": 32, "rate": "100Hz"})
+    design = make_design({"n_rows": 16, "n_cols": 32, "rate": "100Hz"})
     row = next(row for row in budget(design) if row.strategy.phi == LARGER)
     assert row.conversions == row.m == 128
     assert row.lines == 8 + 16
