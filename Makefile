@@ -95,6 +95,7 @@ check: .venv/installed-dev
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/python -m mypy --package sparseskin
+	$(BIN)/python .ci/packing.py
 	$(BIN)/python .ci/core.py
 
 .venv/python:
