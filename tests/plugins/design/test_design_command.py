@@ -39,7 +39,7 @@ def test_it_prints_the_accuracy(capsys, monkeypatch):
     out, error = capsys.readouterr()
     assert re.search(r"^all taxels .* \d\d\.\d +\d\d\.\.\d\d ", out, re.MULTILINE)
     assert max(map(len, out.splitlines())) <= 100
-    assert error == "8 x 8 taxels, 9 ways to read them in 2 simulated scenes each ...\n"
+    assert error == "8 x 8 taxels, 10 ways to read them in 2 simulated scenes each ...\n"
 
 
 def test_options_replace_what_a_file_states_and_a_table_is_written(tmp_path, capsys):
