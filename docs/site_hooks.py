@@ -43,9 +43,11 @@ _tree = tempfile.TemporaryDirectory()
 def on_config(config: Any, **_: Any) -> Any:
     """Let the docstrings be read from a copy of the package, in which each folder is a package."""
     package = Path(_tree.name, "sparseskin")
-    shutil.copytree(ROOT / "src" / "sparseskin", package, dirs_exist_ok=True)
     # A source distribution has the folders alone, without the links to them.
-    for name in ("messages", "nodes", "launch", "studies", "plugins"):
+    folders = ("messages", "nodes", "launch", "studies", "plugins")
+    links = shutil.ignore_patterns(*folders)
+    shutil.copytree(ROOT / "src" / "sparseskin", package, dirs_exist_ok=True, ignore=links)
+    for name in folders:
         shutil.copytree(ROOT / name, package / name, dirs_exist_ok=True)
     (package / "launch" / "__init__.py").touch()  # it has none, and would not be searched
     config.plugins["mkdocstrings"].config.handlers["python"]["paths"] = [_tree.name]

@@ -18,7 +18,7 @@ LEAST = 1e-9
 """Energy that is nothing, in noise variances."""
 
 
-def shrink(windows: Floats, strictness: float = 1.0) -> tuple[Floats, Floats]:
+def shrink(windows: Floats, part: Floats | None = None) -> tuple[Floats, Floats]:
     """Return the denoised tiles of windows of unit noise, and their error, as `Gates.denoise`.
 
     The orthonormal Haar coefficients of a tile of 8 x 8 form 22 groups: the mean, and the three
@@ -42,7 +42,8 @@ def shrink(windows: Floats, strictness: float = 1.0) -> tuple[Floats, Floats]:
     error = ((removed + 2 * divergence) / TILE**2 - 1).clip(QUIET, 1)
 
     tiles = (coefficients * (gain @ groups) @ analysis).clip(0, None)
-    part = standing_out(windows, strictness)
+    if part is None:
+        part = standing_out(windows)
     return part[:, None] * tiles, QUIET + part * (error - QUIET)
 
 

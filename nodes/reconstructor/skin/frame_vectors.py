@@ -322,12 +322,13 @@ class FrameVectors(Vectors):
         u = z + self._rows.adjoint(weighted) / np.float32(mean_weight)
 
         windows = self._tiles.windows(np.concatenate([u / s, NOTHING]), shift)
-        n_busy = int(np.count_nonzero(standing_out(windows, self._tiles.strictness)))
+        part = standing_out(windows, self._tiles.strictness)
+        n_busy = int(np.count_nonzero(part))
         if k == 0:
             plan = steps_for(plan, n_busy)
         by_formula = k < plan.n_formula
         denoise = shrink if by_formula or self._gates is None else self._gates.denoise
-        tiles, tile_error = denoise(windows, self._tiles.strictness)
+        tiles, tile_error = denoise(windows, part)
         x = self._tiles.taxels(tiles, shift) * s
         expected = _dot(tile_error, self._tiles.shares[shift])
 

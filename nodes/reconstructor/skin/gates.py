@@ -106,14 +106,14 @@ class Gates:
         }
         return cls(**arrays, fingerprint="")
 
-    def denoise(self, windows: Floats, strictness: float = 1.0) -> tuple[Floats, Floats]:
+    def denoise(self, windows: Floats, part: Floats | None = None) -> tuple[Floats, Floats]:
         """Return the denoised tiles of windows of unit noise.
 
         Parameters
         ----------
         windows : array of float32, shape (t, 144)
-        strictness : float
-            As of `Tiles`.
+        part : array of float32, shape (t,), optional
+            As of `standing_out`; by default that of these windows, of strictness 1.
 
         Returns
         -------
@@ -125,7 +125,8 @@ class Gates:
         tiles = np.zeros((len(windows), TILE * TILE), dtype=np.float32)
         error = np.full(len(windows), QUIET, dtype=np.float32)
 
-        part = standing_out(windows, strictness)
+        if part is None:
+            part = standing_out(windows)
         is_busy = part > 0
         if is_busy.any():
             gated, expected = self.gated(windows[is_busy])
