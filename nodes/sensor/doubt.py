@@ -80,7 +80,7 @@ class Doubt:
             self._line = self._line_on(sign)
         self._sign_found = sign.is_found
 
-        repeats = self._repeats.reason(forces, clipped.margin)
+        repeats = self._repeats.reason(forces)
         return self.level or clipped.reason(self._skin.n_taxels) or repeats
 
     def _line_on(self, sign: Sign) -> str:

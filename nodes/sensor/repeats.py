@@ -10,6 +10,8 @@ from sparseskin.messages import Reason
 from sparseskin.messages.skin import Skin
 from sparseskin.nodes.numerics.arrays import Floats, Indices, Mask
 
+from .sign import Margin
+
 CHANCE = 1e-12
 """Probability at which the noise of a taxel repeats one reading so often. Chosen: at 1 kHz one in
 10 years on 4096 taxels."""
@@ -45,6 +47,7 @@ class Repeats:
 
     def __init__(self, skin: Skin) -> None:
         self._f_max = np.float32(skin.f_max)
+        self._margin = Margin()
         self._exists = skin.exists.reshape(-1)
         self._last: Floats = np.zeros(0, np.float32)
         self._runs: Indices = np.zeros(0, np.intp)
@@ -53,11 +56,12 @@ class Repeats:
         self._n_pairs = 0
         self._n_repeated = 0
 
-    def reason(self, forces: Floats, margin: float) -> str:
-        """Add a frame, float32 (n_rows, n_cols), 0 in masked cells; `margin` is what the noise of
-        an untouched taxel may exceed 0 by. Returns its `Reason`, "" where it has none.
+    def reason(self, forces: Floats) -> str:
+        """Add a frame, float32 (n_rows, n_cols), 0 in masked cells. Returns its `Reason`, "" where
+        it has none.
         """
         readings = forces.reshape(-1)
+        margin = self._margin.of(readings[self._exists], float(self._f_max), None)
         if readings.size != self._last.size:
             self._last = readings.copy()
             self._runs = np.zeros(readings.size, np.intp)

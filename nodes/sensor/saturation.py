@@ -30,7 +30,6 @@ class Clipped:
     lowest: float = math.inf  # of the frames that had such, before they were clipped
     highest: float = -math.inf
     n_now: int = field(default=0, compare=False)  # of the last frame, by more than its noise
-    margin: float = field(default=0.0, compare=False)  # what that noise may exceed an end by
     mask: Mask | None = field(default=None, compare=False)  # True where a taxel exists; None: all
     sign: Sign = field(default_factory=Sign, compare=False)
     _margin: Margin = field(default_factory=Margin, compare=False)
@@ -50,7 +49,6 @@ class Clipped:
             readings = readings[self.mask]
         margin = self._margin.of(readings, high, noise)
         self.sign.update(readings, low, margin)
-        self.margin = margin
         self.n_now = 0
 
         # Without NaN, unlike min and max.

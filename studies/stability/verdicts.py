@@ -24,9 +24,8 @@ from sparseskin.nodes.reconstructor.bases.base import make_basis
 from sparseskin.nodes.reconstructor.node import Reconstructor
 from sparseskin.nodes.reconstructor.skin.tuning import SkinTuning
 from sparseskin.nodes.reconstructor.solvers.base import estimated_error
-from sparseskin.nodes.sensor.doubt import Doubt
 from sparseskin.nodes.sensor.noise import NoiseModel
-from sparseskin.nodes.sensor.saturation import Clipped
+from sparseskin.nodes.sensor.zero import Zero
 from sparseskin.studies.evaluate import CLOSE, WRONG
 
 from .worlds import Frame, World
@@ -150,17 +149,14 @@ def through_graph(world: World, fast: str) -> Iterator[tuple[Frame, Answer | Non
     for message in (skin, *edge.step(skin)):
         list(host.step(message))
     spoiler = world.spoiler(of_taxels=False)
-    # As the sensor node does.
-    clipped = Clipped(mask=skin.mask)
-    doubt = Doubt(skin.skin, has_level=True)
+    sensed = Zero(skin.skin)
     for k, frame in enumerate(world.frames()):
-        clipped.add(frame.readings, skin.f_min, skin.f_max, skin.sigma_end or None)
-        reason = doubt.look(np.where(world.exists, frame.readings, np.float32(0)), clipped)
+        forces = sensed.forces(frame.readings)
         taxels = Taxels(
             stamp_ns=k * 10_000_000,
             patch="skin",
-            forces=frame.readings[np.newaxis],
-            reason=(reason,),
+            forces=forces[np.newaxis],
+            reason=(sensed.reason,),
         )
         (measured,) = edge.step(taxels)
         assert isinstance(measured, Measurements)

@@ -43,7 +43,7 @@ def test_stuck_taxels_of_any_shape_are_found_and_no_others(seed, n_stuck, value)
     for k, readings in enumerate(frames(seed, N_BEFORE + 2 * LEAST_RUN_AT_END, force=0.3)):
         if k >= N_BEFORE:
             readings.flat[places] = value
-        reasons.append(watch.reason(readings, MARGIN))
+        reasons.append(watch.reason(readings))
     assert set(reasons[:N_BEFORE]) == {""}
     assert reasons[-1] in (Reason.STUCK, Reason.CLIPPED)
 
@@ -51,27 +51,27 @@ def test_stuck_taxels_of_any_shape_are_found_and_no_others(seed, n_stuck, value)
 @given(st.integers(0, 2**32 - 1), st.sampled_from([0.1, 0.05, 0.02]))
 def test_nothing_is_concluded_where_a_converter_hides_the_noise(seed, step):
     watch = Repeats(SKIN)
-    assert {watch.reason(readings, MARGIN) for readings in frames(seed, 200, step)} == {""}
+    assert {watch.reason(readings) for readings in frames(seed, 200, step)} == {""}
 
 
 @given(st.integers(0, 2**32 - 1))
 def test_a_force_just_at_the_end_of_the_range_is_none_of_stuck_taxels(seed):
     watch = Repeats(SKIN)
-    reasons = {watch.reason(readings, MARGIN) for readings in frames(seed, 60, force=F_MAX)}
+    reasons = {watch.reason(readings) for readings in frames(seed, 60, force=F_MAX)}
     assert reasons == {""}
 
 
 def test_forces_beyond_the_range_are_clipped():
     watch = Repeats(SKIN)
-    reasons = [watch.reason(readings, MARGIN) for readings in frames(1, 60, force=F_MAX + 1)]
+    reasons = [watch.reason(readings) for readings in frames(1, 60, force=F_MAX + 1)]
     assert reasons[-1] == Reason.CLIPPED
 
 
 def test_a_frame_that_repeats_as_a_whole_is_frozen():
     watch = Repeats(SKIN)
     for readings in frames(2, 30):
-        assert watch.reason(readings, MARGIN) == ""
-    reasons = [watch.reason(readings, MARGIN) for _ in range(40)]
+        assert watch.reason(readings) == ""
+    reasons = [watch.reason(readings) for _ in range(40)]
     assert reasons[0] == ""
     assert reasons[-1] == Reason.FROZEN
 
@@ -83,7 +83,7 @@ def test_the_number_of_repetitions_follows_from_the_noise_of_untouched_taxels(sh
     watch = Repeats(Skin(100, 100, F_MAX))
     readings = rng.uniform(0.01, MARGIN, (100, 100)).astype(np.float32)
     n_repeats = -1  # the first reading of 2 is none
-    while not watch.reason(readings, MARGIN):
+    while not watch.reason(readings):
         changes = rng.random(readings.shape) >= share
         noise = rng.uniform(0.01, MARGIN, readings.shape).astype(np.float32)
         readings = np.where(changes, noise, readings)
