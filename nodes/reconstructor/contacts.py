@@ -145,27 +145,27 @@ class ContactFinder:
         forces = np.ascontiguousarray(forces, dtype=np.float32)
         weights = self._alike if sd is None else np.square(sd, dtype=np.float32).reshape(-1)
         low = np.float32(limits.low * unit)
-        given = forces, low, high, weights, self._places, self.regions, n_before
-        index, labels, sums, overlap, n_above = self._components(*given)
-        held = {column.index(max(column)) for column in overlap.T.tolist() if any(column)}
-        again = () if waiting is None else set(labels[waiting[index]].tolist())
-        kept: list[int] = []
+        cells = forces, low, high, weights, self._places, self.regions, n_before
+        index, labels, sums, overlap, n_above = self._components(*cells)
+        continued = {column.index(max(column)) for column in overlap.T.tolist() if any(column)}
+        still_waiting = () if waiting is None else set(labels[waiting[index]].tolist())
+        component_of_contact: list[int] = []
         numbers = []  # of each component, that of its contact, from 1 on; 0: none, -1: maybe next
         for c, (total, area, peak) in enumerate(sums[:3].T.tolist()):
             fits = total >= limits.force and area >= limits.area and peak > high
-            stays = c in held and total >= HELD * limits.force
-            stays |= fits and (peak > AT_ONCE * high or c in again)
-            kept += [c] * stays
-            numbers.append(len(kept) if stays else -fits)
-        if len(kept) < len(numbers):
+            stays = c in continued and total >= HELD * limits.force
+            stays |= fits and (peak > AT_ONCE * high or c in still_waiting)
+            component_of_contact += [c] * stays
+            numbers.append(len(component_of_contact) if stays else -fits)
+        if len(component_of_contact) < len(numbers):
             regions = np.array(numbers, dtype=np.int32)[labels]
             self.regions[index] = np.maximum(regions, 0)
             if -1 in numbers:
                 self._waiting = np.zeros(self.regions.size, dtype=np.bool_)
                 self._waiting[index[regions < 0]] = True
-            sums, overlap = sums[:, kept], overlap[kept]
-        self._n = len(kept)
-        if not kept:
+            sums, overlap = sums[:, component_of_contact], overlap[component_of_contact]
+        self._n = len(component_of_contact)
+        if not component_of_contact:
             return None
         share = self._n_taxels / n_above if is_mean else 1.0
         k = 3 + len(self._places)
@@ -202,23 +202,33 @@ def components(
     labels = grid.reshape(-1)[index].astype(np.intp) - 1
     peak = np.zeros(n)
     np.maximum.at(peak, labels, forces.reshape(-1)[index])
-    kept = (peak > high) | (np.bincount(labels, regions[index], n) > 0)
-    index, labels = index[kept[labels]], (np.cumsum(kept) - 1)[labels[kept[labels]]]
-    peak, n, p = peak[kept], np.count_nonzero(kept), n_regions + 1
+
+    # Components that are neither high enough nor in a region that is there are left out.
+    is_contact = (peak > high) | (np.bincount(labels, regions[index], n) > 0)
+    number_of_component = np.cumsum(is_contact) - 1
+    is_in_contact = is_contact[labels]
+    index = index[is_in_contact]
+    labels = number_of_component[labels[is_in_contact]]
+    peak = peak[is_contact]
+    n = np.count_nonzero(is_contact)
+
     values = forces.reshape(-1)[index].astype(np.float64)
-    here = places[:, index]
+    places_of_taxels = places[:, index]
     of_each = variances[index].astype(np.float64)
 
     def summed(numbers: Doubles) -> Doubles:
         return np.array([np.bincount(labels, row, n) for row in numbers])
 
     total, area, variance = summed(np.stack([values, np.ones(index.size), of_each]))
-    means = summed(values * here) / total
-    apart = summed(of_each * np.square(here - means[:, labels])) / total**2
+    means = summed(values * places_of_taxels) / total
+    spread = summed(of_each * np.square(places_of_taxels - means[:, labels])) / total**2
+
+    # Region 0 is none.
+    p = n_regions + 1
     overlap = np.bincount(labels * p + regions[index], minlength=n * p).reshape(n, p)[:, 1:]
     regions.fill(0)
     regions[index] = labels + 1
-    sums = np.stack([total, area, peak, *means, variance, *apart])
+    sums = np.stack([total, area, peak, *means, variance, *spread])
     return index, labels, sums, overlap, int(np.count_nonzero(grid))
 
 
@@ -296,8 +306,8 @@ def find_contacts(
     forces = np.where(skin.exists, forces, np.float32(0))
     limits = Limits(low, high / AT_ONCE, force, area)
     finder = ContactFinder(skin)
-    found = finder.find(forces, error, limits, is_mean=is_mean, sd=sd)
-    sums = np.zeros((8, 0)) if found is None else found.sums
+    contacts = finder.find(forces, error, limits, is_mean=is_mean, sd=sd)
+    sums = np.zeros((8, 0)) if contacts is None else contacts.sums
     total, n_taxels, peak, _, _, total_sd, _, _ = sums
     taxels = np.flatnonzero(finder.regions)
     labels = finder.regions[taxels].astype(np.intp) - 1
