@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence, Set
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -139,42 +139,84 @@ class ContactFinder:
         force.
         """
         unit = error if unit is None else unit
-        high, n_before, waiting, self._waiting = limits.high * unit, self._n, self._waiting, None
+        high = limits.high * unit
+        n_before = self._n
+        waiting = self._waiting
+        self._waiting = None
         if not n_before and float(forces.max()) <= high:
             return None
+
         forces = np.ascontiguousarray(forces, dtype=np.float32)
-        weights = self._alike if sd is None else np.square(sd, dtype=np.float32).reshape(-1)
-        low = np.float32(limits.low * unit)
-        cells = forces, low, high, weights, self._places, self.regions, n_before
-        index, labels, sums, overlap, n_above = self._components(*cells)
-        continued = {column.index(max(column)) for column in overlap.T.tolist() if any(column)}
-        still_waiting = () if waiting is None else set(labels[waiting[index]].tolist())
-        component_of_contact: list[int] = []
-        numbers = []  # of each component, that of its contact, from 1 on; 0: none, -1: maybe next
-        for c, (total, area, peak) in enumerate(sums[:3].T.tolist()):
-            fits = total >= limits.force and area >= limits.area and peak > high
-            stays = c in continued and total >= HELD * limits.force
-            stays |= fits and (peak > AT_ONCE * high or c in still_waiting)
-            component_of_contact += [c] * stays
-            numbers.append(len(component_of_contact) if stays else -fits)
-        if len(component_of_contact) < len(numbers):
-            regions = np.array(numbers, dtype=np.int32)[labels]
-            self.regions[index] = np.maximum(regions, 0)
-            if -1 in numbers:
-                self._waiting = np.zeros(self.regions.size, dtype=np.bool_)
-                self._waiting[index[regions < 0]] = True
-            sums, overlap = sums[:, component_of_contact], overlap[component_of_contact]
-        self._n = len(component_of_contact)
-        if not component_of_contact:
+        variances = self._alike if sd is None else np.square(sd, dtype=np.float32).reshape(-1)
+        index, labels, sums, overlap, n_above = self._components(
+            forces,
+            np.float32(limits.low * unit),
+            high,
+            variances,
+            self._places,
+            self.regions,
+            n_before,
+        )
+        waited = set() if waiting is None else set(labels[waiting[index]].tolist())
+        contacts, candidates = _contacts_among(sums, overlap, high, limits, waited)
+        if len(contacts) < sums.shape[1]:
+            self._leave_out(index, labels, contacts, candidates, sums.shape[1])
+            sums = sums[:, contacts]
+            overlap = overlap[contacts]
+        self._n = len(contacts)
+        if not contacts:
             return None
-        share = self._n_taxels / n_above if is_mean else 1.0
+
+        # Variances become standard deviations, of which an error that all forces share adds to
+        # that of the total; then normals become unit vectors.
+        scale = 1.0
+        if sd is None:
+            share = self._n_taxels / n_above if is_mean else 1.0
+            scale = SD_SCALE**2 * share * error**2
         k = 3 + len(self._places)
-        scale = SD_SCALE**2 * share * error**2 if sd is None else 1.0
         np.sqrt(scale * sums[k:], out=sums[k:])
         np.hypot(sums[k], common * sums[0], out=sums[k])
         if k > 8:
             sums[8:k] /= np.maximum(np.linalg.norm(sums[8:k], axis=0), 1e-12)
         return Found(sums, overlap)
+
+    def _leave_out(
+        self,
+        index: Indices,
+        labels: Indices,
+        contacts: Sequence[int],
+        candidates: Sequence[int],
+        n_components: int,
+    ) -> None:
+        """Number the cells by contact, and let those of candidates wait for the next frame."""
+        number_of_component = np.zeros(n_components, dtype=np.int32)
+        number_of_component[contacts] = np.arange(1, len(contacts) + 1)
+        self.regions[index] = number_of_component[labels]
+        if candidates:
+            self._waiting = np.zeros(self.regions.size, dtype=np.bool_)
+            self._waiting[index[np.isin(labels, candidates)]] = True
+
+
+def _contacts_among(
+    sums: Doubles, overlap: Indices, high: float, limits: Limits, waited: Set[int]
+) -> tuple[list[int], list[int]]:
+    """The components that are contacts, and those that are if they are there in the next frame.
+
+    `sums` and `overlap` as of `components`; `waited`: the candidates of the frame before.
+    """
+    # Each contact of the frame before goes on in the component that it overlaps with most.
+    continued = {column.index(max(column)) for column in overlap.T.tolist() if any(column)}
+    contacts = []
+    candidates = []
+    for component, (total, area, peak) in enumerate(sums[:3].T.tolist()):
+        fits = total >= limits.force and area >= limits.area and peak > high
+        goes_on = component in continued and total >= HELD * limits.force
+        begins = fits and (peak > AT_ONCE * high or component in waited)
+        if goes_on or begins:
+            contacts.append(component)
+        elif fits:
+            candidates.append(component)
+    return contacts, candidates
 
 
 def components(
