@@ -156,8 +156,6 @@ class Reconstructor(Node[ReconstructorSettings]):
         state: dict[str, Any] = {
             "left_out": self._left_out,
             "depth": self.depth,
-            "swamped": any(patch.faults.swamped for patch in self._patches),
-            "faulty_taxels": self._patches[0].faults.taxels,
         }
         if self.settings.skip_idle:
             state["idle"] = self._n_idle
@@ -193,7 +191,7 @@ class Reconstructor(Node[ReconstructorSettings]):
 
     @property
     def _left_out(self) -> str:
-        """Measurements and taxels that are excluded now."""
+        """Measurements that are excluded now."""
         texts = {n: p.faults.text for n, p in zip(self._names, self._patches, strict=True)}
         if len(set(texts.values())) == 1:
             return texts[self._names[0]]

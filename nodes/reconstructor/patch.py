@@ -68,7 +68,7 @@ class Patch:
         self.settings = settings
         self.log = log
         self.solver: Solver | None = None
-        self.faults = FaultWatch(Noise(1.0), np.ones((1, 1), dtype=np.bool_))  # until `set_up`
+        self.faults = FaultWatch(Noise(1.0), (1, 1))  # until `set_up`
         self.solved: Solved | None = None
         #: Steps of a frame that the budget allows.
         self.most_steps = 0
@@ -183,11 +183,10 @@ class Patch:
     def _watch_faults(self, settings: ReconstructorSettings, skin: SkinState, mask: Mask) -> None:
         """Watch the frames of a skin from now on."""
         self.faults = FaultWatch(
-            Noise(skin.f_max, skin.least_sd, _noise_model(skin)),
-            mask,
+            Noise(skin.f_max, skin.least_sd),
+            mask.shape,
             self.log,
             watch_rows=settings.watch_rows,
-            watch_taxels=settings.watch_taxels,
         )
 
     def set_noise(self, skin: SkinState) -> None:

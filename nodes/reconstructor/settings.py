@@ -171,9 +171,6 @@ class ReconstructorSettings(PatchesSettings):
         "compiled loops: auto (where numba is installed), on or off; the same but for rounding",
         choices=FAST,
     )
-    watch_taxels: bool = setting(
-        True, "leave out taxels that are stuck, on a skin with noise; neighbours fill them in"
-    )
     phi: str = setting(
         ANNOUNCED,
         "kind of the measurement matrix, where it is not built in: module:Class or file:PATH, as "

@@ -8,7 +8,7 @@ import numpy as np
 
 from sparseskin.messages import Reason
 from sparseskin.messages.skin import Skin
-from sparseskin.nodes.numerics.arrays import Floats, Indices, Mask
+from sparseskin.nodes.numerics.arrays import Floats, Indices, Mask, of_nine
 
 from .sign import Margin
 
@@ -29,6 +29,8 @@ LEAST_RUN = 3
 LEAST_RUN_AT_END = 10
 """The same at the upper end of the range, where readings repeat because they are clipped. Chosen:
 one in 1000 runs of a force that is just at the end."""
+MAX_CELLS = 256
+"""Most stuck taxels whose cells are published: more are no single faults."""
 SHARE = 0.25
 """Part of the RMS force of a frame from which on it is not trusted, if it is that of such taxels.
 Derived: an error of that part is not trusted either."""
@@ -43,12 +45,19 @@ class Repeats:
 
     Readings of 0 say nothing: noise below 0 is clipped there. Where untouched taxels read 0 in more
     than two of three frames, the converter hides their noise, and nothing is concluded at all.
+
+    Attributes
+    ----------
+    stuck : ndarray of bool, shape (n_rows, n_cols)
+        Taxels of the last frame whose readings are none: they are stuck, below the end of the range
+        and while others are not. At its end, a force may be as large.
     """
 
     def __init__(self, skin: Skin) -> None:
         self._f_max = np.float32(skin.f_max)
         self._margin = Margin()
         self._exists = skin.exists.reshape(-1)
+        self.stuck: Mask = np.zeros(skin.shape, np.bool_)
         self._last: Floats = np.zeros(0, np.float32)
         self._runs: Indices = np.zeros(0, np.intp)
         self._n_untouched = 0
@@ -61,6 +70,8 @@ class Repeats:
         it has none.
         """
         readings = forces.reshape(-1)
+        if self.stuck.any():
+            self.stuck = np.zeros(forces.shape, np.bool_)
         margin = self._margin.of(readings[self._exists], float(self._f_max), None)
         if readings.size != self._last.size:
             self._last = readings.copy()
@@ -79,11 +90,30 @@ class Repeats:
             return ""
         at_end = readings >= self._f_max
         stuck = self._runs >= np.where(at_end, max(needed, LEAST_RUN_AT_END), needed)
+        is_frozen = np.array_equal(stuck, readings != 0)
+        if not is_frozen:
+            self.stuck = (stuck & ~at_end).reshape(forces.shape)
         if not self._matters(readings, stuck):
             return ""
-        if np.array_equal(stuck, readings != 0):
+        if is_frozen:
             return Reason.FROZEN
         return Reason.CLIPPED if at_end[stuck].all() else Reason.STUCK
+
+    @property
+    def cells(self) -> list[int]:
+        """Flat cells of the stuck taxels, in order; of many the first `MAX_CELLS`."""
+        return [int(cell) for cell in np.flatnonzero(self.stuck)[:MAX_CELLS]]
+
+    def filled(self, forces: Floats) -> Floats:
+        """The last frame, float32 (n_rows, n_cols), in which each stuck taxel has the mean of the
+        working ones beside it, 0 where there is none.
+        """
+        if not self.stuck.any():
+            return forces
+        works = self._exists.reshape(forces.shape) & ~self.stuck
+        n_working = of_nine(works.astype(np.float32), np.add)
+        sums = of_nine(np.where(works, forces, np.float32(0)), np.add)
+        return np.where(self.stuck, sums / np.maximum(n_working, 1), forces)
 
     def _count(self, before: Floats, repeats: Mask, margin: float) -> None:
         """Add the pairs of readings of untouched taxels to the counts."""
