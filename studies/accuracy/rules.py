@@ -21,7 +21,7 @@ from sparseskin.nodes.reconstructor.skin.tuning import SkinTuning
 from sparseskin.studies.harness import Candidate
 from sparseskin.studies.points import compute_rows
 from sparseskin.studies.stability.tables import FAR_FROM_READING, RESIDUE
-from sparseskin.studies.stability.verdicts import GOOD, through_arrays, verdict_on
+from sparseskin.studies.stability.verdicts import GOOD, judge
 from sparseskin.studies.stability.worlds import SIDES, draw_world
 
 from .constants import UNCHANGED, changes, figures
@@ -238,6 +238,7 @@ COLUMNS = {
     "wrong, %": Column("+z.2f", 0.2),
     "silent, %": Column("+z.2f", 0.1),
     "false alarms, %": Column("+z.2f", 0.2),
+    "estimates close, %": Column("+z.2f", -1.0),
     "far, worlds": Column("+.0f", 1.0),
     "force stays, worlds": Column("+.0f", 1.0),
     "wrong with faults, %": Column("+z.2f", 0.3),
@@ -254,16 +255,18 @@ NOTHING = "nothing"
 
 @contextmanager
 def switched_off(rule: Rule) -> Iterator[SkinTuning]:
-    """Switch a rule off; yield the constants of the solver without it."""
+    """Switch a rule off; yield the constants of the solver without it, which solvers use."""
+    tuning = SkinTuning(**rule.tuning)  # type: ignore[arg-type]
+    patches = {(f"{SKIN}.solver", "SkinTuning"): lambda: tuning, **rule.patches}
     with _PATCHING, ExitStack() as stack:
-        for (module, name), value in rule.patches.items():
+        for (module, name), value in patches.items():
             target: Any = importlib.import_module(module)
             *owners, attribute = name.split(".")
             for owner in owners:
                 target = getattr(target, owner)
             # Attributes of instances are none of their class.
             stack.enter_context(patch.object(target, attribute, value, create=bool(owners)))
-        yield SkinTuning(**rule.tuning)  # type: ignore[arg-type]
+        yield tuning
 
 
 def candidates() -> dict[str, Candidate]:
@@ -301,8 +304,8 @@ def measure(point: dict[str, Any]) -> dict[str, Any]:
     sides = SIDES if fault else WORLD_SIDES
     world = draw_world(point["seed"], point["has_fault"], fault=fault, sides=sides)
     rule = RULES.get(point["rule"], Rule("all rules"))
-    with switched_off(rule) as tuning, np.errstate(all="ignore"):
-        verdict = verdict_on(world, through_arrays(world, "auto", tuning))
+    with switched_off(rule), np.errstate(all="ignore"):
+        verdict = judge(world)
     is_still = world.load.motion == "still" and world.rows == ROTATING
     return {**vars(verdict), "is_still": is_still, "fault": fault}
 
@@ -325,6 +328,8 @@ def figures_of_worlds(rows: pd.DataFrame) -> pd.DataFrame:
         columns.append(_shares(rows[rows["has_fault"] == has_fault], ending))
 
     sound = rows[~rows["has_fault"]]
+    sums = sound.groupby("rule")[["close", "estimated"]].sum()
+    columns.append((100 * sums["close"] / sums["estimated"]).rename("estimates close, %"))
     is_far = sound["is_still"] & (sound["reading"] < GOOD)
     # An estimate that is no number is far, too.
     is_far &= ~(sound["error"] <= FAR_FROM_READING * sound["reading"])

@@ -91,3 +91,47 @@ def test_the_number_of_repetitions_follows_from_the_noise_of_untouched_taxels(sh
         n_repeats += 1
     needed = math.log(CHANCE) / math.log(QUIETER * share)
     assert n_repeats == pytest.approx(needed, rel=0.15, abs=1)
+
+
+@given(seed=st.integers(0, 2**32 - 1), n_stuck=st.integers(1, 40), value=st.floats(0.5, 2.4))
+def test_stuck_taxels_have_the_mean_of_the_working_ones_beside_them(seed, n_stuck, value):
+    places = np.random.default_rng(seed).choice(14 * 14, n_stuck, replace=False)
+    watch = Repeats(SKIN)
+    for k, readings in enumerate(frames(seed, N_BEFORE + 20, force=0.3)):
+        if k >= N_BEFORE:
+            readings.flat[places] = value
+        watch.reason(readings)
+        filled = watch.filled(readings)
+        if k < N_BEFORE:
+            assert filled is readings
+    assert watch.cells == sorted(places)
+
+    works = np.ones((14, 14), dtype=np.bool_)
+    works.flat[places] = False
+    np.testing.assert_array_equal(filled[works], readings[works])
+    for row, col in np.argwhere(~works):
+        around = np.s_[max(row - 1, 0) : row + 2, max(col - 1, 0) : col + 2]
+        working = readings[around][works[around]]
+        expected = working.mean() if working.size else 0.0
+        assert filled[row, col] == pytest.approx(expected, abs=1e-5)
+
+
+def test_readings_at_the_end_of_the_range_and_of_frozen_frames_stay():
+    watch = Repeats(SKIN)
+    for readings in frames(1, 60, force=F_MAX + 1):
+        watch.reason(readings)
+        assert watch.filled(readings) is readings
+    for _ in range(40):
+        reason = watch.reason(readings)
+        assert watch.filled(readings) is readings
+    assert reason == Reason.FROZEN
+
+
+def test_a_taxel_that_works_again_is_used_at_once():
+    watch = Repeats(SKIN)
+    for k, readings in enumerate(frames(4, 40, force=0.3)):
+        if N_BEFORE <= k < 39:
+            readings[2, 3] = 1.5
+        watch.reason(readings)
+        assert (watch.cells == [2 * 14 + 3]) == (20 <= k < 39) or k < 20
+    assert watch.cells == []
