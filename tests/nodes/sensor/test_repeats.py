@@ -7,8 +7,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from sparseskin.messages import Reason
+from sparseskin.messages import Reason, Taxels
 from sparseskin.messages.skin import Skin
+from sparseskin.nodes.clock import ManualClock
+from sparseskin.nodes.node import Context, Tick
+from sparseskin.nodes.sensor.node import MOST_NAMED, Sensor
 from sparseskin.nodes.sensor.repeats import CHANCE, LEAST_RUN_AT_END, QUIETER, Repeats
 
 F_MAX = 2.5
@@ -135,3 +138,26 @@ def test_a_taxel_that_works_again_is_used_at_once():
         watch.reason(readings)
         assert (watch.cells == [2 * 14 + 3]) == (20 <= k < 39) or k < 20
     assert watch.cells == []
+
+
+def test_a_sensor_states_its_stuck_taxels_and_logs_them_once(tmp_path):
+    recorded = np.stack(list(frames(5, 40, force=0.3)))
+    recorded[N_BEFORE:, :2, 3:9] = 1.5
+    np.save(tmp_path / "stuck.npy", recorded)
+    lines = []
+    context = Context("sensor", ManualClock(), log=lines.append)
+    chosen = Sensor.Settings(source=f"file:{tmp_path}/stuck.npy", tare=0, f_max=F_MAX)
+    sensor = Sensor(chosen, context)
+    messages = []
+    for k in range(39):  # the state is that of the frame after it
+        messages += sensor.acquire(Tick(k, k))
+    taxels = [message for message in messages if isinstance(message, Taxels)]
+
+    cells = [row * 14 + col for row in range(2) for col in range(3, 9)]
+    assert sensor.state()["faulty_taxels"] == cells
+    assert taxels[-1].reason == (Reason.STUCK,)
+    assert taxels[-1].forces[0, :2, 3:9].max() < MARGIN
+    about = [line for line in lines if line.startswith("stuck taxels")]
+    assert len(about) == 1
+    assert about[0].count("(") == MOST_NAMED
+    assert about[0].endswith("(1, 4), ...")
