@@ -146,11 +146,16 @@ class FaultWatch:
         if self._offset is None or not self._offset.rows_of(phi).is_told_apart:
             return y
         offset = self._offset.look(phi, np.asarray(y - solver.expected(phi)))
-        if bool(offset) != self._was_offset:
-            self._was_offset = bool(offset)
-            change = f"an offset of {offset:.2g}, which is subtracted" if offset else "no offset"
-            self._note("offset", f"all measurements have {change}")
-        return np.asarray(y - np.float32(offset)) if offset else y
+        has_offset = offset != 0
+        if has_offset != self._was_offset:
+            self._was_offset = has_offset
+            what = "no offset"
+            if has_offset:
+                what = f"an offset of {offset:.2g}, which is subtracted"
+            self._note("offset", f"all measurements have {what}")
+        if not has_offset:
+            return y
+        return np.asarray(y - np.float32(offset))
 
     def look(self, solver: Solver, phi: Phi, forces: Floats) -> Verdict:
         """Look at the frame that a solver reconstructed of what `receive` returned, float32
@@ -190,15 +195,17 @@ class FaultWatch:
         is_doubted = mean > DOUBTED
         if np.array_equal(is_doubted, was_doubted):
             return
+
+        # Only what has changed is worth a line.
         self._rows_doubted = self._doubted_rows()
         new = np.flatnonzero(is_doubted & ~was_doubted)
         if len(new):
             self._note("rows", f"measurements doubted, no force explains them: {listed(new)}")
 
     def _doubted_rows(self) -> tuple[int, ...]:
-        rows = {
-            int(row) for mean in self._doubts.values() for row in np.flatnonzero(mean > DOUBTED)
-        }
+        rows: set[int] = set()
+        for mean in self._doubts.values():
+            rows.update(np.flatnonzero(mean > DOUBTED).tolist())
         return tuple(sorted(rows))
 
     def _within_range(self, forces: Floats) -> tuple[Floats, bool]:
@@ -207,6 +214,7 @@ class FaultWatch:
         largest = float(forces.max(initial=0))
         if largest <= f_max:
             return forces, False
+        # An error of the estimate may exceed the range; a force that does is none of this skin.
         if largest > (1 + BEYOND) * f_max:
             return forces, True
         return np.minimum(forces, np.float32(f_max)), False
@@ -217,9 +225,11 @@ class FaultWatch:
             return self._received
         if is_beyond:
             return Reason.RANGE
-        if not getattr(solver, "trusted", True):
-            return Reason.WEAK if self._is_weak(solver, forces) else Reason.ERROR
-        return ""
+        if getattr(solver, "trusted", True):
+            return ""
+        if self._is_weak(solver, forces):
+            return Reason.WEAK
+        return Reason.ERROR
 
     def _is_weak(self, solver: Solver, forces: Floats) -> bool:
         """True if neither the forces nor the estimated error stand out of the stated noise."""
@@ -254,6 +264,7 @@ def mixed_taxels(phi: Phi) -> float:
     for row in np.linspace(0, phi.m - 1, min(N_PROBED, phi.m)).astype(np.intp):
         unit = np.zeros(phi.m, dtype=np.float32)
         unit[row] = 1
+        # It is the number of taxels where all of them have the same weight.
         weights = np.square(phi.adjoint(unit), dtype=np.float64)
         ratios.append(weights.sum() ** 2 / max(np.square(weights).sum(), TINY))
     return float(sorted(ratios)[len(ratios) // 2])
@@ -270,8 +281,10 @@ def listed(names: Sequence[object] | Indices) -> str:
 def watch_of(solver: Solver) -> FaultWatch:
     """The watch of a solver that is used by itself, by the noise that it was told; made once."""
     if solver.watch is None:
-        model = solver.noise_model
-        f_max = math.inf if model is None else model.f_max
+        # The range of the skin is known by its noise alone.
+        f_max = math.inf
+        if solver.noise_model is not None:
+            f_max = solver.noise_model.f_max
         solver.watch = FaultWatch(Noise(f_max, solver.noise_sd), solver.mask.shape)
     watch: FaultWatch = solver.watch
     return watch
