@@ -149,10 +149,10 @@ class FaultWatch:
         has_offset = offset != 0
         if has_offset != self._was_offset:
             self._was_offset = has_offset
-            what = "no offset"
+            offset_text = "no offset"
             if has_offset:
-                what = f"an offset of {offset:.2g}, which is subtracted"
-            self._note("offset", f"all measurements have {what}")
+                offset_text = f"an offset of {offset:.2g}, which is subtracted"
+            self._note("offset", f"all measurements have {offset_text}")
         if not has_offset:
             return y
         return np.asarray(y - np.float32(offset))
