@@ -51,6 +51,7 @@ from .frames import (
     MessageReader,
     OtherFrameError,
     Received,
+    Turns,
     fields_that_fit,
     size_text,
 )
@@ -148,6 +149,7 @@ class RosRecording(Recording):
         reads = _Reads(self._name, stream, self.tally, self._layout.n_stated is not None)
         numbers = np.empty((size, *stream.shape), dtype)
         times: list[int | float] = []
+        turns = Turns()
         messages = in_order(self._messages((stream.topic,)))
         for n, message in enumerate(messages):
             if n < self._layout.skip:
@@ -159,7 +161,7 @@ class RosRecording(Recording):
 
             # Several skins may send on one topic.
             if not self._layout.frame_id:
-                self._check_frames(received, messages, stream)
+                self._check_frames(received, messages, stream, turns)
             times.append(reads.time(message, received, n + 1))
             numbers[len(times) - 1] = received.numbers.values
             if len(times) == size:
@@ -301,7 +303,7 @@ class RosRecording(Recording):
         if not fields:
             raise EmptyMessageError("holds no list of numbers")
         numbers = next(iter(fields.values()))
-        received = Received(numbers, reader.time_of(message), reader.frame_of(message))
+        received = reader.received(numbers, message)
         return First(reader, fields, received)
 
     def _unstated(self, firsts: dict[str, First], choices: list[tuple[str, str]]) -> UnstatedError:
@@ -325,20 +327,26 @@ class RosRecording(Recording):
         return UnstatedError(f"{self._name}: {fault}; state {keys}", *options)
 
     def _check_frames(
-        self, received: Received, messages: Iterator[Recorded], stream: Stream
+        self, received: Received, messages: Iterator[Recorded], stream: Stream, turns: Turns
     ) -> None:
-        """Raise UnstatedError if a message is of another frame than the first one."""
-        if received.frame_id == stream.first.frame_id:
+        """Raise UnstatedError if a message is of another frame than the first one, or of another
+        skin, whose messages take turns.
+        """
+        is_of_frame = received.frame_id == stream.first.frame_id
+        if is_of_frame and not turns.add(received.number):
             return
 
         # A few more messages tell which frames there are.
-        frame_ids = {stream.first.frame_id: None, received.frame_id: None}
+        def skin_of(message: Received) -> str:
+            return message.number if is_of_frame else message.frame_id
+
+        frame_ids = {skin_of(stream.first): None, skin_of(received): None}
         for message in messages:
             try:
                 frame = stream.reader.read_frame(plain_message(message.data))
             except SourceError:
                 continue
-            frame_ids[frame.frame_id] = None
+            frame_ids[skin_of(frame)] = None
             if len(frame_ids) >= MAX_FRAME_IDS:
                 break
         names = ", ".join(repr(printable(frame_id[:40])) for frame_id in frame_ids)
@@ -427,6 +435,7 @@ class _Reads:
     def _has_shape(self, received: Received) -> bool:
         shape = received.numbers.values.shape
         if shape == self._stream.shape:
+            self._check_names(received)
             return True
         if self._is_stated:
             self._tally.drop(OTHER_SHAPE)
@@ -434,6 +443,12 @@ class _Reads:
         shapes = f"{size_text(self._stream.first.numbers)}, then {size_text(received.numbers)}"
         hint = "state n_rows and n_cols: messages of other shapes are left out"
         raise SourceError(f"{self._where}: its shape changes: {shapes}; {hint}")
+
+    def _check_names(self, received: Received) -> None:
+        """Raise SourceError if a message has its taxels in another order than the first one."""
+        names = [axis.names for axis in received.numbers.axes]
+        if names != [axis.names for axis in self._stream.first.numbers.axes]:
+            raise SourceError(f"{self._where}: the order of its taxels changes, as named in it")
 
 
 def open_storage(path: str, work: Workspace) -> Storage:

@@ -20,13 +20,16 @@ from sparseskin.nodes.sensor.layout.tally import Tally
 
 from .datasets import (
     F_MAX,
+    FILL_VALUES,
     FORCES,
     MASK,
     NO_UNITS,
+    OFFSET,
     PITCH,
     POINT_ROWS,
     POINTS,
     RATES,
+    SCALE,
     TIME_UNITS,
     UNIT,
     ArrayFile,
@@ -95,7 +98,30 @@ class DatasetRecording(Recording):
             if block.dtype.kind == "b":
                 block = block.view(np.uint8)
             for begin in range(0, len(block), size):
-                yield block[begin : begin + size]
+                yield self._unpacked(plan.key, block[begin : begin + size])
+
+    def _unpacked(self, key: str, numbers: npt.NDArray[Any]) -> npt.NDArray[Any]:
+        """Numbers as the attributes of their array state them: NaN for its fill value, times its
+        scale, plus its offset. Source: CF conventions, sections 2.5 and 8.1.
+        """
+        packing = self._packing(key)
+        if not packing:
+            return numbers
+        values = numbers.astype(np.float64)
+        for name in FILL_VALUES:
+            if name in packing:
+                values[numbers == packing[name]] = np.nan
+        return values * packing.get(SCALE, 1.0) + packing.get(OFFSET, 0.0)
+
+    def _packing(self, key: str) -> dict[str, float]:
+        """The attributes of an array that state what its numbers stand for."""
+        attributes = self._arrays.datasets[key].attributes
+        packing = {}
+        for name in (SCALE, OFFSET, *FILL_VALUES):
+            value = np.asarray(attributes.get(name, np.nan))
+            if value.size == 1 and value.dtype.kind in "iuf" and np.isfinite(value).all():
+                packing[name] = float(value.reshape(()))
+        return packing
 
     def _times(self, plan: _Plan, size: int) -> Iterator[int | float]:
         """The times of all frames, one after the other, from an array of their own."""
@@ -133,6 +159,10 @@ class DatasetRecording(Recording):
         if key:
             about = f"array {printable(key)}, {about}"
         notes = [f"{about}: {place} ({frames.reason})", *arrays.notes, *time_notes]
+        packing = self._packing(key)
+        if packing:
+            text = ", ".join(f"{name} = {value:g}" for name, value in packing.items())
+            notes.append(f"its numbers are read with {text}")
         if dataset.dtype.kind == "b":
             notes.append("True and False are read as 1 and 0")
         plan = _Plan(key, frames, time_key, None, tuple(notes))

@@ -39,6 +39,10 @@ RATES = (
     *("sampling_rate", "sampling_rate_hz", "sampling_frequency", "sample_rate"),
 )
 """Names of rates in hertz, of attributes and of single numbers."""
+SCALE = "scale_factor"
+OFFSET = "add_offset"
+FILL_VALUES = ("_FillValue", "missing_value")
+"""Attributes of numbers that stand for others, and of those that stand for none."""
 NO_UNITS = frozenset({"", "-", "1", "none", "unknown", "n/a"})
 TIME_UNITS = {
     **dict.fromkeys(("s", "sec", "second", "seconds"), "s"),

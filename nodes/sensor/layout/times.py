@@ -30,10 +30,14 @@ UNIT_NAME = re.compile(
 LONG_UNITS = {"nanos": "ns", "micros": "us", "millis": "ms", "seconds": "s", "µs": "us"}
 EPOCH_S = 9.0e8, 4.2e9
 """Seconds since 1970 that can be a date: 1998 to 2103, chosen."""
+FIRST_YEAR = 1998
+LAST_YEAR = 2103
 RATES_HZ = 0.1, 2000.0
 """Rates at which skins are read; chosen: of a bed a frame in 10 s, of boards 2 kHz."""
 OTHER_DATE = re.compile(r"(?:(\d{1,2})\.(\d{1,2})\.(\d{4})|(\d{4})/(\d{1,2})/(\d{1,2}))(?=$|[ T])")
 """Dates of one meaning; 3/12/2026 has two."""
+BASIC_DATE = re.compile(r"(\d{8})[T_ ]?(\d{6})(?:[.,]?(\d{1,9}))?")
+"""Dates without separators, as 20260312T101502.120 or 20260312101502."""
 USUAL_WRAP = 1 << 32
 """Units of time until clocks of microcontrollers are 0 again."""
 DAY_NS = 86_400 * 10**9
@@ -57,9 +61,12 @@ def named_unit(name: str) -> str:
 
 
 def iso_ns(text: str) -> int | None:
-    """Nanoseconds since 1970 of a stamp of ISO 8601, or with a date as 12.03.2026 or 2026/03/12, of
-    UTC where it states no zone; None: none.
+    """Nanoseconds since 1970 of a stamp of ISO 8601, or with a date as 12.03.2026, 2026/03/12 or
+    20260312101502, of UTC where it states no zone; None: none.
     """
+    basic = BASIC_DATE.fullmatch(text)
+    if basic is not None:
+        text = f"{basic[1]}T{basic[2]}.{basic[3] or 0}"
     date = OTHER_DATE.match(text)
     if date is not None:
         time = text[date.end() :].replace(",", ".")
@@ -68,12 +75,15 @@ def iso_ns(text: str) -> int | None:
         else:
             year, month, day = date.group(4, 5, 6)
         text = f"{year}-{int(month):02}-{int(day):02}{time}"
-    if "-" not in text[1:]:
+    if basic is None and "-" not in text[1:]:
         return None
 
     try:
         moment = datetime.fromisoformat(text)
     except ValueError:
+        return None
+    # Other numbers of so many digits are no dates of a recording.
+    if basic is not None and not FIRST_YEAR <= moment.year <= LAST_YEAR:
         return None
     if not moment.tzinfo:
         moment = moment.replace(tzinfo=UTC)

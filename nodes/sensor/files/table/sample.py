@@ -40,6 +40,7 @@ class TableHead:
     time: int | None = None
     nanoseconds: int | None = None  # column with those of a time in seconds
     time_unit: str = ""
+    rate_hz: float | None = None  # as a line before the table states it
     kind: str = LINES
     height: int = 1  # lines of a frame of a grid
     long: LongColumns | None = None
