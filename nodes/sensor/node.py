@@ -445,8 +445,9 @@ class Sensor(SourceNode[SensorSettings]):
         """Why the readings of a frame are not to be trusted, "" if they are."""
         if self._doubt is None:
             has_level = not self._stated_rest
-            self._doubt = Doubt(self.skin, has_level=has_level, is_inverted=self.settings.invert)
-        reason = self._doubt.look(forces, self._clips)
+            inverted = self.settings.invert
+            self._doubt = Doubt(self.skin, self._clips, has_level=has_level, is_inverted=inverted)
+        reason = self._doubt.look(forces)
         line = self._doubt.take_line()
         if line:
             self._say(line)

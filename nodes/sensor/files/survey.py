@@ -132,6 +132,11 @@ class Treatment:
         return layout.nan == MASK or layout.negative in (MASK, OFFSET, KEEP)
 
     @property
+    def is_signed(self) -> bool:
+        """True if readings below 0 are stated to be kept, or to become 0."""
+        return self._layout.negative in (KEEP, ZERO)
+
+    @property
     def lower_end(self) -> float:
         """Lower end of the range: below 0 where readings below 0 are kept."""
         if self._layout.negative == KEEP:
