@@ -13,7 +13,7 @@ from sparseskin.nodes.numerics.arrays import Floats
 
 from .calibration.chain import TARE_FRAMES
 from .calibration.description import SkinDescription
-from .files.recording import ADD
+from .layout.checks import ADD
 from .repeats import Repeats
 from .rest import Rest
 from .saturation import Clipped

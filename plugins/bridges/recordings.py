@@ -14,16 +14,8 @@ from sparseskin.nodes.errors import SourceError
 from sparseskin.nodes.numerics.array_files import MAX_GROWN_BYTES, MAX_GROWTH
 from sparseskin.nodes.recorder.bag.records import MAGIC as MCAP_MAGIC
 from sparseskin.nodes.sensor.files.format import Format
-from sparseskin.nodes.sensor.files.recording import (
-    Block,
-    File,
-    Head,
-    Recording,
-    choose,
-    frames_per_block,
-    reading,
-    unreadable,
-)
+from sparseskin.nodes.sensor.files.recording import Block, File, Head, Recording, frames_per_block
+from sparseskin.nodes.sensor.layout.checks import choose, reading, unreadable
 from sparseskin.nodes.sensor.layout.layout import UnstatedError
 from sparseskin.nodes.sensor.layout.tally import Tally
 

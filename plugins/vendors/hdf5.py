@@ -22,7 +22,8 @@ from sparseskin.nodes.sensor.files.datasets import (
     ArrayFile,
     Dataset,
 )
-from sparseskin.nodes.sensor.files.recording import File, unreadable
+from sparseskin.nodes.sensor.files.recording import File
+from sparseskin.nodes.sensor.layout.checks import unreadable
 
 _BEGIN = b"\x89HDF\r\n\x1a\n"
 _MATLAB_CLASS = "MATLAB_class"

@@ -15,6 +15,7 @@ from sparseskin.messages.text import printable
 from sparseskin.nodes.errors import SourceError
 from sparseskin.nodes.numerics.arrays import Mask
 from sparseskin.nodes.sensor.layout import times
+from sparseskin.nodes.sensor.layout.checks import parse_number, shown
 from sparseskin.nodes.sensor.layout.layout import UnstatedError
 from sparseskin.nodes.sensor.layout.tally import Tally
 
@@ -38,7 +39,7 @@ from .datasets import (
     times_keys,
 )
 from .frame_axis import CHANNEL, ENDS, FrameAxis, find_frame_axis, has_time_column
-from .recording import Block, File, Head, Recording, frames_per_block, parse_number, shown
+from .recording import Block, File, Head, Recording, frames_per_block
 
 
 class _Plan(NamedTuple):

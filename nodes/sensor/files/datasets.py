@@ -15,10 +15,10 @@ from sparseskin.messages.fields import MAX_ELEMENTS
 from sparseskin.messages.text import printable
 from sparseskin.nodes.errors import SourceError
 from sparseskin.nodes.sensor.layout import times
+from sparseskin.nodes.sensor.layout.checks import choose, shown
 from sparseskin.nodes.sensor.layout.layout import Layout, UnstatedError
 
 from .frame_axis import ArrayShape, can_be_frames, has_time_column
-from .recording import choose, shown
 
 TACTILE = "tactile_data"
 """Part of the names of arrays of tactile datasets."""

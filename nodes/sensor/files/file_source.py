@@ -26,6 +26,7 @@ from sparseskin.messages.skin import Skin
 from sparseskin.nodes.errors import SourceError, SparseskinError
 from sparseskin.nodes.lookup import nearest_of
 from sparseskin.nodes.numerics.arrays import Floats
+from sparseskin.nodes.sensor.layout.checks import ADD, COUNTS, check_unit, reading, shown
 from sparseskin.nodes.sensor.layout.layout import (
     EMPTY,
     HOLD,
@@ -41,7 +42,7 @@ from sparseskin.nodes.sensor.source import DEFAULT_RATE_HZ, MAX_LINES, Source
 
 from .format import folder_files, recording_of
 from .frames import Frames, Stamped
-from .recording import ADD, COUNTS, File, check_unit, reading, shown
+from .recording import File
 from .survey import DIGEST_BYTES, FrameStore, Needs, Survey, Treatment
 
 MAX_FRAMES = 1 << 31

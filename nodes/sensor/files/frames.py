@@ -12,10 +12,11 @@ from sparseskin.messages.ranges import INT64_MAX
 from sparseskin.nodes.errors import SourceError
 from sparseskin.nodes.numerics.arrays import Floats, Mask
 from sparseskin.nodes.sensor.layout.arrangement import Arrangement, arrange
+from sparseskin.nodes.sensor.layout.checks import COUNTS, MAX_READING, NAN_HINT
 from sparseskin.nodes.sensor.layout.layout import KEEP, REFUSE, UnstatedError
 from sparseskin.nodes.sensor.layout.times import Stamps, unit_of
 
-from .recording import COUNTS, MAX_READING, NAN_HINT, Block, File, Recording
+from .recording import Block, File, Recording
 
 UNTIMED_PERIOD_NS = 10_000_000
 """Time between frames where neither file nor caller states one, chosen: stamps must rise."""

@@ -14,9 +14,9 @@ import numpy.typing as npt
 
 from sparseskin.nodes.numerics.arrays import Floats, Mask
 from sparseskin.nodes.sensor.layout.layout import KEEP, MASK, OFFSET, REFUSE, ZERO, Layout
+from sparseskin.nodes.sensor.missing import FILLED
 
 from .frames import Stamped
-from .recording import FILLED
 
 DIGEST_BYTES = 8
 

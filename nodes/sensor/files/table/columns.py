@@ -9,7 +9,7 @@ from itertools import pairwise
 import numpy as np
 
 from sparseskin.nodes.errors import SourceError
-from sparseskin.nodes.sensor.files.recording import shown
+from sparseskin.nodes.sensor.layout.checks import shown
 from sparseskin.nodes.sensor.layout.layout import Layout, UnstatedError
 from sparseskin.nodes.sensor.layout.names import (
     matching,

@@ -9,7 +9,8 @@ from itertools import islice
 import numpy as np
 
 from sparseskin.nodes.errors import SourceError
-from sparseskin.nodes.sensor.files.recording import File, is_missing, shown
+from sparseskin.nodes.sensor.files.recording import File
+from sparseskin.nodes.sensor.layout.checks import is_missing, shown
 from sparseskin.nodes.sensor.layout.layout import Layout, UnstatedError
 from sparseskin.nodes.sensor.layout.names import (
     COL_WORDS,

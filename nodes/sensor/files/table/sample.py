@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from sparseskin.nodes.sensor.files.recording import is_missing, shown
+from sparseskin.nodes.sensor.layout.checks import is_missing, shown
 from sparseskin.nodes.sensor.layout.times import (
     clock_ns,
     iso_ns,

@@ -11,19 +11,9 @@ import numpy.typing as npt
 
 from sparseskin.nodes.errors import SourceError
 from sparseskin.nodes.numerics.arrays import Doubles
-from sparseskin.nodes.sensor.files.recording import (
-    NAN_HINT,
-    Block,
-    File,
-    Head,
-    Recording,
-    frames_per_block,
-    is_missing,
-    parse_number,
-    reading,
-    shown,
-)
+from sparseskin.nodes.sensor.files.recording import Block, File, Head, Recording, frames_per_block
 from sparseskin.nodes.sensor.layout.arrangement import Axis
+from sparseskin.nodes.sensor.layout.checks import NAN_HINT, is_missing, parse_number, reading, shown
 from sparseskin.nodes.sensor.layout.layout import UnstatedError
 from sparseskin.nodes.sensor.layout.tally import Tally
 from sparseskin.nodes.sensor.layout.times import CLOCK_UNIT, ISO, clock_ns, iso_ns

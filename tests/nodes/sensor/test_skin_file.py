@@ -13,7 +13,7 @@ from hypothesis.extra.numpy import arrays
 
 from sparseskin.nodes.files import OutputError
 from sparseskin.nodes.sensor.calibration.description import Response, SkinDescription, SkinFileError
-from sparseskin.nodes.sensor.calibration.skin_file import (
+from sparseskin.nodes.sensor.skin_file import (
     MAX_FILE_CHARS,
     MAX_INLINE,
     load_skin,
