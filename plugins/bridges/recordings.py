@@ -57,6 +57,9 @@ WINDOW_BYTES = 1 << 24
 MAX_TRIES = 100
 """Messages of a topic after which it holds no frames, if none of them does; chosen."""
 MAX_FRAME_IDS = 8
+SWAPPED_NS = 1_000_000_000
+"""A stamp that falls by less is of a message that was overtaken, by more of a clock that was set;
+chosen."""
 EMPTY = "empty messages"
 OTHER_FRAME = "messages of another frame_id"
 SKIPPED = "skipped"
@@ -417,6 +420,10 @@ class _Reads:
         if time is None or (is_header_time and time < (self._last_time or 0)):
             fault = "its stamp is before that of the one before it, or missing"
             hint = f"state time={LOG}, the times of the recording"
+            fall_ns = (self._last_time or 0) - (time or 0)
+            if time and fall_ns < SWAPPED_NS:
+                # By the times of the recording, the frames would keep a wrong order.
+                raise SourceError(f"{place}: {fault}, by {fall_ns / 1e9:.3g} s; {hint} and order")
             raise UnstatedError(f"{place}: {fault}; {hint}", {"time": LOG})
         if self._stream.uses_log and time < (self._last_time or 0):
             fault = f"was recorded before more than {WINDOW} messages that stand before it"

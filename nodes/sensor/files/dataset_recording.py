@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from functools import cached_property
 from itertools import chain, islice
 from typing import Any, NamedTuple
@@ -95,19 +95,19 @@ class DatasetRecording(Recording):
             blocks = iter([self._arrays.property_array(plan.key)[np.newaxis]])
         else:
             blocks = self._arrays.blocks(plan.key, plan.frames.axis, size)
+        packing = self._packing(plan.key)
         for block in blocks:
             if block.dtype.kind == "b":
                 block = block.view(np.uint8)
             for begin in range(0, len(block), size):
-                yield self._unpacked(plan.key, block[begin : begin + size])
+                part = block[begin : begin + size]
+                yield self._unpacked(part, packing) if packing else part
 
-    def _unpacked(self, key: str, numbers: npt.NDArray[Any]) -> npt.NDArray[Any]:
+    @staticmethod
+    def _unpacked(numbers: npt.NDArray[Any], packing: Mapping[str, float]) -> npt.NDArray[Any]:
         """Numbers as the attributes of their array state them: NaN for its fill value, times its
         scale, plus its offset. Source: CF conventions, sections 2.5 and 8.1.
         """
-        packing = self._packing(key)
-        if not packing:
-            return numbers
         values = numbers.astype(np.float64)
         for name in FILL_VALUES:
             if name in packing:

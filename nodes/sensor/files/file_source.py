@@ -194,7 +194,7 @@ class RecordedSource(Source):
         needs_all = needs_range or self._needs.digest or Treatment.needs_survey(self._layout)
         store: FrameStore | None = FrameStore(frames.shape)
         for stamp_ns, part in frames.blocks():
-            survey.add(part)
+            survey.add(part, frames.extremes)
 
             if survey.n_frames > MAX_FRAMES:
                 raise SourceError(f"{frames.name}: more than {MAX_FRAMES} frames")

@@ -47,6 +47,8 @@ class Frames:
         self.last_ns = 0
         #: Frames that the last `blocks` has yielded.
         self.n_frames = 0
+        #: Lowest and highest reading of the block that was yielded last; None: it holds NaN.
+        self.extremes: tuple[float, float] | None = None
         self._sample_block: Block | None = None
         self.arrangement = self._arranged()
         self.mask = self._arranged_mask()
@@ -213,8 +215,10 @@ class Frames:
         allows_below = self.raw or layout.negative != REFUSE
         lower_end = -MAX_READING if allows_below else 0.0
         if lower_end <= lowest and highest <= MAX_READING:  # False for a NaN
+            self.extremes = (float(lowest), float(highest))
             return frames
 
+        self.extremes = None
         is_number = np.isfinite(frames)
         if not layout.accepts_missing:
             self._refuse(readings, ~is_number, f"is not finite; {NAN_HINT}")

@@ -81,15 +81,13 @@ class Survey:
             return self.mask
         return np.ones(self.shape, dtype=np.bool_)
 
-    def add(self, frames: Floats) -> None:
-        """Add frames."""
+    def add(self, frames: Floats, extremes: tuple[float, float] | None) -> None:
+        """Add frames, and their lowest and highest reading; None: they hold NaN."""
         self.n_frames += len(frames)
         if self.content is not None:
             self.content.update(np.ascontiguousarray(frames).data)
-        # A missing reading makes the plain extremes NaN; they are faster than fmin and fmax.
-        lowest = float(frames.min())
-        highest = float(frames.max())
-        if lowest <= highest:
+        if extremes is not None:
+            lowest, highest = extremes
             self.has_number[:] = True
         else:
             lowest = float(np.fmin.reduce(frames, axis=None))

@@ -236,13 +236,22 @@ def test_the_files_of_a_bag_of_ros_2_follow_each_other(tmp_path, kind):
 
 def test_stamps_that_fall_are_never_used_without_a_word(tmp_path):
     sent = images(4)
-    sent[2] = replace(sent[2], stamp_ns=sent[0].stamp_ns)
+    # Of a clock that was set.
+    sent[2] = replace(sent[2], stamp_ns=sent[0].stamp_ns - 10**9)
     path = write_bag(tmp_path, "mcap", "", IMAGES, sent)
     with pytest.raises(UnstatedError, match="message 3: its stamp is before") as refused:
         Read(path)
     assert refused.value.options == ({"time": "log"},)
     assert Read(path, replace(EMPTY, time="log")).times == [one.log_ns for one in sent]
     with pytest.raises(SourceError, match=r"; add time=log$"):
+        open_file(path)
+
+
+def test_of_messages_that_were_overtaken_no_order_is_proposed(tmp_path):
+    sent = images(4)
+    sent[2] = replace(sent[2], stamp_ns=sent[0].stamp_ns)
+    path = write_bag(tmp_path, "mcap", "", IMAGES, sent)
+    with pytest.raises(SourceError, match=r"times of the recording and order$"):
         open_file(path)
 
 
