@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Iterator, Mapping, Sequence
 from functools import cached_property
 from itertools import chain, islice
@@ -26,9 +27,11 @@ from .datasets import (
     MASK,
     NO_UNITS,
     OFFSET,
+    PERIOD_NAMES,
     PITCH,
     POINT_ROWS,
     POINTS,
+    RATE_NAMES,
     RATES,
     SCALE,
     TIME_UNITS,
@@ -303,25 +306,35 @@ class DatasetRecording(Recording):
         rate_hz = self._number(plan.key, RATES[0])
         if rate_hz is not None:
             return rate_hz, ()
-        attributes = self._arrays.datasets[plan.key].attributes
         by_name: dict[str, float] = {}
-        for name in RATES[1:]:
-            value = attributes.get(name, np.nan)
-            path = self._arrays.nearest(plan.key, (name,))
-            if path and math.prod(self._arrays.datasets[path].sides) == 1:
-                value = self._arrays.whole(path)
+        for name, value in self._values_beside(plan.key):
             array = np.asarray(value)
             if array.size != 1 or array.dtype.kind not in "iuf":
                 continue
-            number = array.reshape(())
-            if 0 < number < np.inf:
-                by_name[name] = float(number)
+            number = float(array.reshape(()))
+            rate_of_name = rate_of(name, number)
+            if rate_of_name:
+                by_name[name] = rate_of_name
         rates = ", ".join(f"{name} = {rate:g}" for name, rate in by_name.items())
         if len(set(by_name.values())) > 1:
             return None, (f"{rates}: more than one rate is stated, and none is used",)
         if by_name:
             return next(iter(by_name.values())), (f"the rate is that of {rates} Hz",)
         return None, ()
+
+    def _values_beside(self, key: str) -> Iterator[tuple[str, Any]]:
+        """Names and values that may state the rate of an array: attributes, and single numbers in
+        its group or around it.
+        """
+        arrays = self._arrays
+        names = {name.lower(): name for name in arrays.datasets[key].attributes}
+        for name in names.values():
+            yield name, arrays.datasets[key].attributes[name]
+        for path, dataset in arrays.datasets.items():
+            name = arrays.last_part(path)
+            is_nearest = arrays.nearest(key, (name,)) == path
+            if is_nearest and math.prod(dataset.sides) == 1 and rate_of(name, 1.0):
+                yield name, arrays.whole(path)
 
     def _unit(self, plan: _Plan) -> str | None:
         path = self._arrays.nearest(plan.key, (UNIT,))
@@ -405,6 +418,24 @@ class DatasetRecording(Recording):
                 mask_sides[at] = 1
         whole = np.broadcast_to(mask.reshape(mask_sides), item_sides)
         return whole.astype(np.bool_), ()
+
+
+def rate_of(name: str, number: float) -> float:
+    """Frames per second that a number of that name states; 0 if it states none."""
+    words = re.sub(r"(?<=[a-z])(?=[A-Z])", "_", name)
+    letters = re.sub(r"[^a-z]", "", words.lower())
+    if not 0 < number < math.inf:
+        return 0.0
+    if letters.removesuffix("hz") in RATE_NAMES:
+        return number
+    # Of a time between frames, the unit may stand behind the name.
+    if letters in PERIOD_NAMES:
+        return 1 / number
+    unit = times.named_unit(words)
+    stem = re.sub(r"[^a-z]", "", words.lower().rpartition("_")[0])
+    if unit and stem in PERIOD_NAMES:
+        return 1e9 / (number * times.NS[unit])
+    return 0.0
 
 
 def _times(sides: Sequence[int]) -> str:

@@ -39,6 +39,12 @@ RATES = (
     *("sampling_rate", "sampling_rate_hz", "sampling_frequency", "sample_rate"),
 )
 """Names of rates in hertz, of attributes and of single numbers."""
+RATE_NAMES = frozenset(name.replace("_", "").removesuffix("hz") for name in RATES)
+PERIOD_NAMES = frozenset(
+    {"dt", "ts", "timestep", "sampletime", "frametime"}
+    | {f"{word}{of}" for word in ("sample", "sampling", "frame") for of in ("period", "interval")}
+)
+"""The same of rates, and of times between frames, in small letters without other characters."""
 SCALE = "scale_factor"
 OFFSET = "add_offset"
 FILL_VALUES = ("_FillValue", "missing_value")
@@ -49,6 +55,9 @@ TIME_UNITS = {
     **dict.fromkeys(("ms", "msec", "millisecond", "milliseconds"), "ms"),
     **dict.fromkeys(("us", "µs", "usec", "microsecond", "microseconds"), "us"),
     **dict.fromkeys(("ns", "nsec", "nanosecond", "nanoseconds"), "ns"),
+    **dict.fromkeys(("min", "minute", "minutes"), "min"),
+    **dict.fromkeys(("h", "hr", "hour", "hours"), "h"),
+    **dict.fromkeys(("d", "day", "days"), "d"),
 }
 """Units of times as attributes state them, alone or before "since"."""
 MAX_STATE = 32

@@ -18,6 +18,7 @@ from .layout import UnstatedError
 ISO = "iso"
 CLOCK_UNIT = "clock"
 NS = {"ns": 1, "us": 10**3, "ms": 10**6, "s": 10**9, ISO: 1, CLOCK_UNIT: 1}
+NS |= {"min": 60 * 10**9, "h": 3600 * 10**9, "d": 86_400 * 10**9}
 """Nanoseconds of each unit. Stamps of ISO 8601 and times of day are read as nanoseconds."""
 TIME_NAME = re.compile(
     r"[%_\s]*(?:field\.|header[._])*(t|ts|times?|times?_?stamps?|stamps?|date|date_?time|elapsed"
@@ -25,9 +26,17 @@ TIME_NAME = re.compile(
 )
 """Begin of the name of a column or array of times, in small letters."""
 UNIT_NAME = re.compile(
-    r"(?:^|[^a-z])(ns|us|µs|ms|s)(?:ec|econds)?\W*$|(nanos|micros|millis|seconds)$"
+    r"(?:(?:^|[^a-z])(?P<short>ns|us|µs|ms|s)"
+    r"|[^a-z](?P<rare>min|hr?|d)"
+    r"|(?P<part>nano|micro|milli|[num]|µ)?(?:secs?|seconds?)"
+    r"|(?P<arduino>nanos|micros|millis)"
+    r"|(?P<long>mins|minute|hour|hr|day)s?)\W*$"
 )
-LONG_UNITS = {"nanos": "ns", "micros": "us", "millis": "ms", "seconds": "s", "µs": "us"}
+LONG_UNITS = {
+    **{"nanos": "ns", "nano": "ns", "n": "ns", "micros": "us", "micro": "us", "u": "us"},
+    **{"µs": "us", "µ": "us", "millis": "ms", "milli": "ms", "m": "ms"},
+    **{"mins": "min", "minute": "min", "hour": "h", "hr": "h", "day": "d"},
+}
 EPOCH_S = 9.0e8, 4.2e9
 """Seconds since 1970 that can be a date: 1998 to 2103, chosen."""
 FIRST_YEAR = 1998
@@ -53,10 +62,12 @@ def named_unit(name: str) -> str:
     """Unit in the name of a column or array, as of "time_ms"; "" if there is none."""
     if re.fullmatch(r"%time", name.strip().lower()):
         return "ns"  # as rostopic echo -p prints it
-    match = UNIT_NAME.search(name.lower())
-    if match is None:
+    words = re.sub(r"(?<=[a-z])(?=[A-Z])", "_", name).lower()
+    match = UNIT_NAME.search(words)
+    # As "hundredths of a second".
+    if match is None or re.search(r"tenth|hundred|1/", words):
         return ""
-    unit = match[1] or match[2]
+    unit = next(filter(None, match.groups()), "s")
     return LONG_UNITS.get(unit, unit)
 
 

@@ -148,11 +148,11 @@ def test_numbers_are_unpacked_as_their_attributes_state(tmp_path, fill_name):
 def test_times_of_an_unknown_unit_are_refused(tmp_path):
     def write(file):
         put(file, pad=FRAMES, time=TIMES)
-        file["time"].attrs["units"] = "days since 2026-01-01"
+        file["time"].attrs["units"] = "weeks since 2026-01-01"
 
     raw = written(write)
     with pytest.raises(
-        SourceError, match="array 'time': its unit is 'days', none of ns, us, ms, s"
+        SourceError, match="array 'time': its unit is 'weeks', none of ns, us, ms, s"
     ):
         read(tmp_path, raw)
     stamps = read(tmp_path, raw, time_unit="s").stamp_ns

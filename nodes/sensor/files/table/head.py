@@ -256,7 +256,8 @@ def _is_header(cells: Sequence[str], later: Sequence[Line]) -> bool:
     programs name them that know no names.
     """
     is_indexed_too = cells[0] == "" and len(cells) > 1
-    if _counts_columns(cells) and (len(cells) >= COUNTED or is_indexed_too):
+    is_long = len(cells) >= COUNTED
+    if _counts_columns(cells) and (is_long or is_indexed_too):
         # Frames of a test pattern count on.
         return not _steps_by_one(later[0].cells[: len(cells)])
     for k, cell in enumerate(cells):

@@ -123,6 +123,19 @@ def test_names_that_count_columns_are_no_frame(tmp_path, shape, first):
     np.testing.assert_array_equal(read(tmp_path, text, shape).frames, frames)
 
 
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        *[("fs", 50), ("Fs", 50), ("sampleRate", 50), ("FPS", 50.0), ("frame_rate_hz", 50)],
+        *[("dt", 0.02), ("Ts", 0.02), ("sample_interval_ms", 20), ("frame_period_s", 0.02)],
+    ],
+)
+def test_a_number_beside_an_array_states_its_rate(tmp_path, name, value):
+    path = tmp_path / "a.npz"
+    np.savez(path, data=np.ones((5, 4, 3)), **{name: value})
+    assert open_file(path).rate_hz == pytest.approx(50)
+
+
 def test_hexadecimal_numbers_are_not_read_as_decimal_ones(tmp_path):
     text = "04 11 09 00\n07 1F 22 10\n00 10 30 40\n"
     with pytest.raises(SourceError, match="line 2, column 2: '1F' is not a number, but may be"):
