@@ -15,7 +15,7 @@ import numpy as np
 
 from sparseskin.launch.commands.cli import main as sparseskin
 from sparseskin.nodes.sensor.calibration.chain import Chain
-from sparseskin.nodes.sensor.calibration.skin_file import load_skin
+from sparseskin.nodes.sensor.skin_file import load_skin
 
 matplotlib.use("Agg")
 import matplotlib.pyplot as plt

@@ -8,6 +8,7 @@ from hypothesis import strategies as st
 
 NO_NAMES, NUMBERED, GRID_NAMES = "none", "s{k}", "r{r}c{c}"
 TIMES = ["none", "time_s", "time_ms", "t [us]", "stamp", "clock", "epoch", "ts", "micros"]
+TIMES += ["date", "datetime"]
 START = datetime(2026, 3, 1, 9, 30, tzinfo=UTC)
 
 
@@ -36,6 +37,8 @@ def _times(draw, n):
         "clock": [moment.strftime("%H:%M:%S.%f") for moment in moments],
         "epoch": [f"{moment.timestamp():.3f}" for moment in moments],
         "ts": [moment.strftime("%d.%m.%Y %H:%M:%S.%f") for moment in moments],
+        "date": [moment.strftime("%Y%m%dT%H%M%S.%f") for moment in moments],
+        "datetime": [moment.strftime("%Y%m%d%H%M%S.%f") for moment in moments],
         "micros": [str((1000 * each - 50_000) % 2**32) for each in ms],
     }
     return texts[kind], kind, None if kind == "none" else ms / 1000
@@ -71,7 +74,9 @@ def tables(draw):
     columns = [[f"{value:g}" for value in values[:, k]] for k in order]
     header = [names[k] for k in order]
     if is_named and draw(st.booleans()):
-        columns.append(draw(st.lists(st.sampled_from(["cup", "box"]), min_size=n, max_size=n)))
+        # A label changes rarely; names that take turns are those of skins (tested apart).
+        labels = draw(st.lists(st.sampled_from(["cup", "box"]), min_size=n, max_size=n))
+        columns.append(sorted(labels))
         header.append("object")
     if is_named and draw(st.booleans()):
         columns.insert(0, [str(k) for k in range(n)])

@@ -22,7 +22,7 @@ import numpy as np
 from sparseskin.nodes.node import Node
 from sparseskin.nodes.recorder.convert.export import Export
 from sparseskin.nodes.sensor.files.format import Format
-from sparseskin.nodes.sensor.files.recording import Parsed, WholeRecording
+from sparseskin.nodes.sensor.files.recording import (Parsed, WholeRecording)
 
 
 class Counted(WholeRecording):

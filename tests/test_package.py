@@ -138,3 +138,26 @@ def test_imports_form_no_circle_and_run_one_way():
         if LAYERS.index(name.split(".")[1]) < LAYERS.index(other.split(".")[1])
     ]
     assert upward == []
+
+
+SENSOR = "sparseskin.nodes.sensor."
+SENSOR_LAYERS = (
+    *("layout", "device_clock", "noise", "sign", "repeats", "saturation", "missing"),
+    *("calibration", "rest", "doubt", "zero", "source", "points", "skin_file"),
+    *("files", "driver", "scenes", "sources", "raw_frames", "settings", "node"),
+)
+"""Modules and folders of the sensor, the lowest first."""
+
+
+def test_imports_within_the_sensor_run_one_way():
+    upward = []
+    for name, others in graph().items():
+        if not name.startswith(SENSOR):
+            continue
+        place = name.removeprefix(SENSOR).split(".")[0]
+        for other in others:
+            if other.startswith(SENSOR):
+                target = other.removeprefix(SENSOR).split(".")[0]
+                if SENSOR_LAYERS.index(target) > SENSOR_LAYERS.index(place):
+                    upward.append(f"{name} imports {other}")
+    assert upward == []

@@ -26,17 +26,17 @@ from sparseskin.nodes.sensor.calibration.fit import (
     read_area,
     read_load,
 )
-from sparseskin.nodes.sensor.calibration.frames import (
+from sparseskin.nodes.sensor.doubt import line_on_sign
+from sparseskin.nodes.sensor.files.file_source import open_file
+from sparseskin.nodes.sensor.layout.layout import Layout
+from sparseskin.nodes.sensor.raw_frames import (
     PARTS,
     Live,
     Recorded,
     open_frames,
     read_part,
 )
-from sparseskin.nodes.sensor.calibration.skin_file import save_skin
-from sparseskin.nodes.sensor.doubt import line_on_sign
-from sparseskin.nodes.sensor.files.file_source import open_file
-from sparseskin.nodes.sensor.layout.layout import Layout
+from sparseskin.nodes.sensor.skin_file import save_skin
 
 from .options import add_graph, add_layout, as_options, layout_of, rare, real, show, whole
 

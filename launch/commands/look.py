@@ -18,7 +18,8 @@ from sparseskin.nodes.numerics.arrays import Floats
 from sparseskin.nodes.recorder.bag.format import FILE_SUFFIX
 from sparseskin.nodes.sensor.files.file_source import located, open_file
 from sparseskin.nodes.sensor.files.format import recording_of
-from sparseskin.nodes.sensor.files.recording import Block, File, Head, reading
+from sparseskin.nodes.sensor.files.recording import Block, File, Head
+from sparseskin.nodes.sensor.layout.checks import reading
 from sparseskin.nodes.sensor.layout.layout import EMPTY, KEYS, Layout, UnstatedError
 
 from .options import add_layout, as_options, layout_of

@@ -140,7 +140,7 @@ def layout_of(arguments: argparse.Namespace) -> "Layout":
 
 def as_options(text: str) -> str:
     """A line on a file in which the keys of a layout that are to be stated are options."""
-    from sparseskin.nodes.sensor.files.recording import spelled
+    from sparseskin.nodes.sensor.layout.checks import spelled
 
     def with_value(key: str) -> str:
         return f"{_option_of(key)} "

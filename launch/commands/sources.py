@@ -21,7 +21,7 @@ from sparseskin.nodes.errors import SourceError
 from sparseskin.nodes.extensions import ADDRESSES, DRIVERS, failures, loaded, offered
 from sparseskin.nodes.lookup import one_line
 from sparseskin.nodes.numerics.arrays import Floats
-from sparseskin.nodes.sensor.files.recording import spelled
+from sparseskin.nodes.sensor.layout.checks import spelled
 from sparseskin.nodes.sensor.layout.layout import KEYS, Layout
 from sparseskin.nodes.sensor.source import DEFAULT_RATE_HZ, Listing, Source
 from sparseskin.nodes.sensor.sources import KINDS, find_kind, open_source

@@ -20,8 +20,8 @@ from sparseskin.nodes.errors import SparseskinError
 from sparseskin.nodes.lookup import did_you_mean
 from sparseskin.nodes.monitor.node import check_pose
 from sparseskin.nodes.sensor.calibration.description import SkinDescription
-from sparseskin.nodes.sensor.calibration.skin_file import MAX_FILE_CHARS, load_skin, parse_skin
 from sparseskin.nodes.sensor.scenes.address import PITCH_MM
+from sparseskin.nodes.sensor.skin_file import MAX_FILE_CHARS, load_skin, parse_skin
 from sparseskin.nodes.settings import Settings, setting
 from sparseskin.nodes.toml import parse_toml
 

@@ -15,7 +15,7 @@ from sparseskin.nodes.lookup import did_you_mean
 from sparseskin.nodes.node import Node
 from sparseskin.nodes.process.scheduling import Scheduling
 from sparseskin.nodes.registry import node_class
-from sparseskin.nodes.sensor.files.recording import spelled
+from sparseskin.nodes.sensor.layout.checks import spelled
 from sparseskin.nodes.settings import Settings, setting
 from sparseskin.nodes.toml import toml_or_text
 

@@ -13,7 +13,7 @@ from sparseskin.nodes.numerics.arrays import Floats
 
 from .calibration.chain import TARE_FRAMES
 from .calibration.description import SkinDescription
-from .files.recording import ADD
+from .layout.checks import ADD
 from .repeats import Repeats
 from .rest import Rest
 from .saturation import Clipped
@@ -23,12 +23,21 @@ from .sign import Sign
 class Doubt:
     """Looks at the forces that became of the readings of one skin, frame by frame.
 
+    `clipped` are the counts of what clips them before; None: nothing does, `take` counts them.
     `has_level`: nobody has stated what the untouched skin reads; `is_inverted`: it is stated that
     readings fall with force.
     """
 
-    def __init__(self, skin: Skin, *, has_level: bool, is_inverted: bool = False) -> None:
+    def __init__(
+        self,
+        skin: Skin,
+        clipped: Clipped | None = None,
+        *,
+        has_level: bool,
+        is_inverted: bool = False,
+    ) -> None:
         self._skin = skin
+        self.clipped = Clipped(mask=skin.mask) if clipped is None else clipped
         self._rest = Rest(skin) if has_level else None
         self._repeats = Repeats(skin)
         self._is_inverted = is_inverted
@@ -71,21 +80,28 @@ class Doubt:
         self._is_new = False
         return self.line
 
-    def look(self, forces: Floats, clipped: Clipped) -> str:
-        """Reason of a frame, float32 (n_rows, n_cols), 0 in masked cells; "" if there is none.
-        `clipped` are the counts to which it was added before it was clipped.
+    def take(self, forces: Floats, f_min: float = 0.0, noise: float | None = None) -> str:
+        """Reason of a frame as of `look`, before it is clipped to f_min and the skin's f_max; noise
+        as of `Clipped.add`.
+        """
+        self.clipped.add(forces, f_min, self._skin.f_max, noise)
+        return self.look(forces)
+
+    def look(self, forces: Floats) -> str:
+        """Reason of a frame, float32 (n_rows, n_cols), 0 in masked cells; "" if there is none. It
+        was added to `clipped` before it was clipped.
         """
         if self._rest is not None and self._rest.update(forces):
             self._is_new = True
 
-        sign = clipped.sign
+        sign = self.clipped.sign
         if sign.is_found and not self._sign_found:
             self._is_new = True
             self._line = self._line_on(sign)
         self._sign_found = sign.is_found
 
         repeats = self._repeats.reason(forces)
-        return self.level or clipped.reason(self._skin.n_taxels) or repeats
+        return self.level or self.clipped.reason(self._skin.n_taxels) or repeats
 
     def filled(self, forces: Floats) -> Floats:
         """The last frame with stuck taxels filled in by the working ones beside them."""
@@ -106,9 +122,7 @@ def line_on_sign(described: SkinDescription, frames: npt.NDArray[Any], is_invert
 
     # The baseline is that of these frames: none of them has a level.
     doubt = Doubt(described.skin, has_level=False, is_inverted=is_inverted)
-    clipped = Clipped(mask=described.mask)
     for raw in frames:
-        forces = described.forces(raw)
-        clipped.add(forces, described.f_min, described.f_max, described.noise)
-        doubt.look(forces.astype(np.float32), clipped)
+        forces = described.forces(raw).astype(np.float32)
+        doubt.take(forces, described.f_min, described.noise)
     return doubt.line

@@ -15,11 +15,10 @@ from sparseskin.messages.skin import PAPER_F_MAX_N, Skin
 from sparseskin.nodes.errors import SourceError
 from sparseskin.nodes.lookup import find_callable, one_line
 from sparseskin.nodes.numerics.arrays import Floats
-from sparseskin.nodes.sensor.files import recording
-from sparseskin.nodes.sensor.files.recording import check_number, shown
 
 from .device_clock import DeviceClock
 from .layout.arrangement import Arrangement, Axis, arrange, check_grid, check_stated_shape
+from .layout.checks import ADD, COUNTS, NAN_HINT, check_number, check_unit, shown
 from .source import Address, LiveSource
 
 RESTART_NS = 1_000_000_000
@@ -184,7 +183,7 @@ class DriverSource(LiveSource):
         # Counts of a converter would be read as newtons.
         if self._is_in_newtons and array.dtype.kind in "iu" and self._skin is None:
             fault = "whole numbers, of which the driver states neither unit nor range"
-            raise SourceError(f"{where}: {fault}{recording.ADD}unit={recording.COUNTS} f_max=4095")
+            raise SourceError(f"{where}: {fault}{ADD}unit={COUNTS} f_max=4095")
 
         array = self._arranged(array, where)
 
@@ -206,7 +205,7 @@ class DriverSource(LiveSource):
         if missing.any() and not self._layout.accepts_missing:
             row, col = np.argwhere(missing)[0]
             fault = f"row {row}, column {col}: {values[row, col]} is no force"
-            hint = f"a fault of the sensor or its driver; {recording.NAN_HINT}"
+            hint = f"a fault of the sensor or its driver; {NAN_HINT}"
             raise SourceError(f"{where}, {fault}; {hint}")
         values[missing] = np.nan
 
@@ -252,7 +251,7 @@ def open_callable(address: Address) -> DriverSource:
     its first frame is bad, or a setting is out of range or contradicts the driver's skin.
     """
     target = address.source
-    recording.check_unit(target, address.layout.unit)
+    check_unit(target, address.layout.unit)
     make = find_callable(target, SourceError)
     with _running(target):
         driver = make()

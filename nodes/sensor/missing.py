@@ -10,9 +10,14 @@ import numpy.typing as npt
 from sparseskin.messages.skin import Skin
 from sparseskin.nodes.numerics.arrays import Floats, Mask, of_nine
 
-from .files.recording import FILLED
-from .layout.layout import HOLD, MASK
+from .layout.layout import HOLD, MASK, ZERO
 
+FILLED = {
+    ZERO: "set to 0",
+    HOLD: "replaced by the last ones",
+    MASK: "replaced by the mean of their neighbours",
+}
+"""What is done with missing readings, for the log."""
 RENEWAL_NS = 1_000_000_000
 """Least time between two skins, nanoseconds; chosen: each sets Phi and solver up anew."""
 

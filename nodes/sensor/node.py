@@ -18,15 +18,15 @@ from sparseskin.nodes.numerics.arrays import Floats
 from .calibration.chain import Chain
 from .calibration.description import Placement, SkinDescription, of_skin
 from .calibration.drift import DRIFT_RATE
-from .calibration.skin_file import load_skin
 from .doubt import Doubt
-from .files.recording import spelled
+from .layout.checks import spelled
 from .layout.layout import MASK
 from .missing import MissingReadings
 from .noise import NoiseModel
 from .points import point_skins
 from .saturation import Clipped, clipped_text
 from .settings import NO_TRUTH, SensorSettings
+from .skin_file import load_skin
 from .source import DEFAULT_RATE_HZ, Skin
 
 WAIT_S = 0.05
@@ -452,8 +452,9 @@ class Sensor(SourceNode[SensorSettings]):
         """Why the readings of a frame are not to be trusted, "" if they are."""
         if self._doubt is None:
             has_level = not self._stated_rest
-            self._doubt = Doubt(self.skin, has_level=has_level, is_inverted=self.settings.invert)
-        reason = self._doubt.look(forces, self._clips)
+            inverted = self.settings.invert
+            self._doubt = Doubt(self.skin, self._clips, has_level=has_level, is_inverted=inverted)
+        reason = self._doubt.look(forces)
         self._note_stuck(self._doubt.stuck_cells)
         line = self._doubt.take_line()
         if line:

@@ -13,7 +13,7 @@ from sparseskin.nodes.numerics.arrays import Doubles, Floats
 from sparseskin.nodes.touch import MeasuredNoise, touch_level
 
 from .calibration.chain import TARE_FRAMES
-from .files.recording import ADD
+from .layout.checks import ADD
 
 DEAD = 0.04
 """Part of the taxels that a level at rest may leave out, rounded up. Chosen: a skin has fewer dead

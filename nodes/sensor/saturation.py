@@ -68,6 +68,17 @@ class Clipped:
         beyond = (readings < low - margin) | (readings > high + margin)
         self.n_now = int(np.count_nonzero(beyond))
 
+    def watch(self, readings: npt.NDArray[Any], low: float, high: float) -> None:
+        """Look at a frame as `add`, of readings that somebody has stated what to do with outside
+        the range: they are not counted. Those below 0 show the sign, whatever the range is.
+        """
+        if self.mask is not None:
+            readings = readings[self.mask]
+        margin = self._margin.of(readings, high, None)
+        self.sign.update(readings, 0.0, margin)
+        beyond = (readings < low - margin) | (readings > high + margin)
+        self.n_now = int(np.count_nonzero(beyond))
+
     def reason(self, n_taxels: int) -> str:
         """Why the last frame of a skin of so many taxels is not to be trusted, "" if it is."""
         if self.sign.falls:

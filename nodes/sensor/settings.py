@@ -9,10 +9,10 @@ from sparseskin.nodes.errors import SettingsError
 from sparseskin.nodes.settings import PatchesSettings, naming, setting
 
 from .calibration.chain import MAX_TARE_FRAMES
-from .calibration.skin_file import load_skin
-from .files.recording import check_unit
+from .layout.checks import check_unit
 from .layout.layout import EMPTY, KEYS, Layout
 from .points import point_skins
+from .skin_file import load_skin
 from .source import Address
 from .sources import find_address
 

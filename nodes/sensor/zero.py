@@ -12,7 +12,6 @@ from sparseskin.nodes.numerics.arrays import Floats
 
 from .calibration.chain import MAX_TARE_FRAMES
 from .doubt import Doubt
-from .saturation import Clipped
 
 
 class Zero:
@@ -57,7 +56,6 @@ class Zero:
         self.reason = ""
         self._untouched: list[Floats] = []
         self._baseline: Floats | None = None
-        self._clipped = Clipped(mask=self._skin.mask)
         self.doubt = Doubt(self._skin, has_level=self._has_level, is_inverted=self._invert)
 
     @property
@@ -84,6 +82,5 @@ class Zero:
         existing = forces
         if self._skin.mask is not None:
             existing = np.where(self._skin.mask, forces, np.float32(0))
-        self._clipped.add(existing, 0.0, self._skin.f_max)
-        self.reason = self.doubt.look(existing, self._clipped)
+        self.reason = self.doubt.take(existing)
         return self.doubt.filled(forces)

@@ -19,7 +19,7 @@ from typing import Any
 
 from sparseskin.nodes.errors import NotHereError, SourceError
 from sparseskin.nodes.lookup import did_you_mean
-from sparseskin.nodes.sensor.files.recording import shown
+from sparseskin.nodes.sensor.layout.checks import shown
 
 from .framing import Counts, Framing, PacketParser
 from .ports import Arrived, Port, needed_module

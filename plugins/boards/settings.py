@@ -21,8 +21,8 @@ from sparseskin.launch.attach.text import typed_value
 from sparseskin.messages.skin import Skin
 from sparseskin.nodes.errors import SourceError, SparseskinError
 from sparseskin.nodes.lookup import did_you_mean
-from sparseskin.nodes.sensor.files.recording import check_unit, shown
 from sparseskin.nodes.sensor.layout.arrangement import Arrangement, Axis, arrange, check_grid
+from sparseskin.nodes.sensor.layout.checks import check_unit, shown
 from sparseskin.nodes.sensor.layout.layout import GridLayout, Layout
 from sparseskin.nodes.settings import Settings, setting
 from sparseskin.nodes.toml import MAX_CHARS, parse_toml

@@ -16,8 +16,8 @@ from sparseskin.messages.skin import Skin
 from sparseskin.nodes.errors import SourceError, SparseskinError
 from sparseskin.nodes.numerics.arrays import Floats
 from sparseskin.nodes.sensor.device_clock import DeviceClock
-from sparseskin.nodes.sensor.files.recording import NAN_HINT
 from sparseskin.nodes.sensor.layout.arrangement import check_stated_shape
+from sparseskin.nodes.sensor.layout.checks import NAN_HINT
 from sparseskin.nodes.sensor.layout.layout import EMPTY, Layout
 from sparseskin.nodes.sensor.source import LiveSource
 

@@ -7,11 +7,11 @@ from typing import Any, NamedTuple
 from sparseskin.messages.text import printable
 from sparseskin.nodes.errors import SourceError
 from sparseskin.nodes.sensor.layout.layout import Layout, UnstatedError
-from sparseskin.nodes.sensor.layout.times import named_unit
+from sparseskin.nodes.sensor.layout.times import is_time_name, named_unit
 
 from .cdr import CLOUD
 from .messages.decoding import Decoder, Message
-from .messages.definitions import HEADER, TIME, Definitions
+from .messages.definitions import BASES, HEADER, TIME, Definitions
 from .messages.fields import numbers_at, only_channel, paths_of, value_at
 from .messages.grids import KINDS, EmptyMessageError, Numbers, fields_of
 
@@ -25,26 +25,43 @@ NONE = "none"
 """Values of `Layout.time`: the times at which messages were recorded; no times."""
 STAMP = "header.stamp"
 SOURCES = (
-    "sensor_id",
-    "sensor_name",
-    "device_id",
-    "board_id",
-    "module_id",
-    "skin_id",
-    "side",
-    "hand",
+    *("sensor_id", "sensor_name", "device_id", "board_id", "module_id", "skin_id", "side", "hand"),
+    *("sensor", "device", "board", "module", "skin", "patch", "finger"),
 )
 """Members of messages that state which skin they are of."""
+NUMBERED = ("id", "addr", "address", "port", "node")
+"""Members of messages that may state it, or count messages."""
+MAX_SKINS = 8
+"""Most skins that send on one topic by turns; chosen."""
 
 
 class Received(NamedTuple):
     """A message that was read: its numbers, its time in the unit of the reader, None where it has
-    none, and the frame that its header names, "" where there is none.
+    none, the frame that its header names, and the value of a member of `NUMBERED`, "" where there
+    is none.
     """
 
     numbers: Numbers
     time: int | float | None
     frame_id: str
+    number: str = ""
+
+
+class Turns:
+    """Notices that the values of a member of `NUMBERED` take turns, as those of several skins."""
+
+    def __init__(self) -> None:
+        self._values: set[str] = set()
+        self._last = ""
+
+    def add(self, value: str) -> bool:
+        """Add the value of a message; returns True if it comes again behind others."""
+        if value == self._last or len(self._values) > MAX_SKINS:
+            return False
+        self._last = value
+        comes_again = value in self._values
+        self._values.add(value)
+        return comes_again
 
 
 class MessageReader:
@@ -67,6 +84,11 @@ class MessageReader:
         stamps = [
             member.name for member in members if member.kind == TIME and member.n_entries is None
         ]
+        numbers = [
+            member.name
+            for member in members
+            if member.n_entries is None and member.kind in BASES and is_time_name(member.name)
+        ]
 
         #: Where the times stand in a message; "" if they are those of the recording.
         self.time_path = layout.time
@@ -74,8 +96,8 @@ class MessageReader:
             self.time_path = ""
         elif not layout.time and self._has_header:
             self.time_path = STAMP
-        elif not layout.time and len(stamps) == 1:
-            self.time_path = stamps[0]
+        elif not layout.time and len(stamps or numbers) == 1:
+            (self.time_path,) = stamps or numbers
         self._is_header_time = self.time_path == STAMP
         self._stated_unit = layout.time_unit
         self._frame_id = layout.frame_id
@@ -93,7 +115,15 @@ class MessageReader:
         message = self.decode(data)
         self.check_frame(message)
         numbers = numbers_at(message, self.field)
-        return Received(numbers, self.time_of(message), self.frame_of(message))
+        return self.received(numbers, message)
+
+    def received(self, numbers: Numbers, message: Message) -> Received:
+        """The numbers of a message, and what it states of them."""
+        number = ""
+        for name in NUMBERED:
+            if isinstance(message.get(name), int | str):
+                number = str(message[name])
+        return Received(numbers, self.time_of(message), self.frame_of(message), number)
 
     def frame_of(self, message: Message) -> str:
         """The skin that a member of a message names, or else the frame that its header does; ""
@@ -108,7 +138,8 @@ class MessageReader:
 
     def check_frame(self, message: Message) -> None:
         """Raise OtherFrameError if the frame of a message is not the stated one."""
-        if self._frame_id and self.frame_of(message) != self._frame_id:
+        numbers = [str(message[name]) for name in NUMBERED if name in message]
+        if self._frame_id and self._frame_id not in (self.frame_of(message), *numbers):
             raise OtherFrameError(f"frame_id {printable(self.frame_of(message)[:40])!r}")
 
     def time_of(self, message: Message) -> int | float | None:

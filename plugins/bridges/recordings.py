@@ -14,16 +14,8 @@ from sparseskin.nodes.errors import SourceError
 from sparseskin.nodes.numerics.array_files import MAX_GROWN_BYTES, MAX_GROWTH
 from sparseskin.nodes.recorder.bag.records import MAGIC as MCAP_MAGIC
 from sparseskin.nodes.sensor.files.format import Format
-from sparseskin.nodes.sensor.files.recording import (
-    Block,
-    File,
-    Head,
-    Recording,
-    choose,
-    frames_per_block,
-    reading,
-    unreadable,
-)
+from sparseskin.nodes.sensor.files.recording import Block, File, Head, Recording, frames_per_block
+from sparseskin.nodes.sensor.layout.checks import choose, reading, unreadable
 from sparseskin.nodes.sensor.layout.layout import UnstatedError
 from sparseskin.nodes.sensor.layout.tally import Tally
 
@@ -51,6 +43,7 @@ from .frames import (
     MessageReader,
     OtherFrameError,
     Received,
+    Turns,
     fields_that_fit,
     size_text,
 )
@@ -64,6 +57,9 @@ WINDOW_BYTES = 1 << 24
 MAX_TRIES = 100
 """Messages of a topic after which it holds no frames, if none of them does; chosen."""
 MAX_FRAME_IDS = 8
+SWAPPED_NS = 1_000_000_000
+"""A stamp that falls by less is of a message that was overtaken, by more of a clock that was set;
+chosen."""
 EMPTY = "empty messages"
 OTHER_FRAME = "messages of another frame_id"
 SKIPPED = "skipped"
@@ -148,6 +144,7 @@ class RosRecording(Recording):
         reads = _Reads(self._name, stream, self.tally, self._layout.n_stated is not None)
         numbers = np.empty((size, *stream.shape), dtype)
         times: list[int | float] = []
+        turns = Turns()
         messages = in_order(self._messages((stream.topic,)))
         for n, message in enumerate(messages):
             if n < self._layout.skip:
@@ -159,7 +156,7 @@ class RosRecording(Recording):
 
             # Several skins may send on one topic.
             if not self._layout.frame_id:
-                self._check_frames(received, messages, stream)
+                self._check_frames(received, messages, stream, turns)
             times.append(reads.time(message, received, n + 1))
             numbers[len(times) - 1] = received.numbers.values
             if len(times) == size:
@@ -301,7 +298,7 @@ class RosRecording(Recording):
         if not fields:
             raise EmptyMessageError("holds no list of numbers")
         numbers = next(iter(fields.values()))
-        received = Received(numbers, reader.time_of(message), reader.frame_of(message))
+        received = reader.received(numbers, message)
         return First(reader, fields, received)
 
     def _unstated(self, firsts: dict[str, First], choices: list[tuple[str, str]]) -> UnstatedError:
@@ -325,20 +322,26 @@ class RosRecording(Recording):
         return UnstatedError(f"{self._name}: {fault}; state {keys}", *options)
 
     def _check_frames(
-        self, received: Received, messages: Iterator[Recorded], stream: Stream
+        self, received: Received, messages: Iterator[Recorded], stream: Stream, turns: Turns
     ) -> None:
-        """Raise UnstatedError if a message is of another frame than the first one."""
-        if received.frame_id == stream.first.frame_id:
+        """Raise UnstatedError if a message is of another frame than the first one, or of another
+        skin, whose messages take turns.
+        """
+        is_of_frame = received.frame_id == stream.first.frame_id
+        if is_of_frame and not turns.add(received.number):
             return
 
         # A few more messages tell which frames there are.
-        frame_ids = {stream.first.frame_id: None, received.frame_id: None}
+        def skin_of(message: Received) -> str:
+            return message.number if is_of_frame else message.frame_id
+
+        frame_ids = {skin_of(stream.first): None, skin_of(received): None}
         for message in messages:
             try:
                 frame = stream.reader.read_frame(plain_message(message.data))
             except SourceError:
                 continue
-            frame_ids[frame.frame_id] = None
+            frame_ids[skin_of(frame)] = None
             if len(frame_ids) >= MAX_FRAME_IDS:
                 break
         names = ", ".join(repr(printable(frame_id[:40])) for frame_id in frame_ids)
@@ -417,6 +420,10 @@ class _Reads:
         if time is None or (is_header_time and time < (self._last_time or 0)):
             fault = "its stamp is before that of the one before it, or missing"
             hint = f"state time={LOG}, the times of the recording"
+            fall_ns = (self._last_time or 0) - (time or 0)
+            if time and fall_ns < SWAPPED_NS:
+                # By the times of the recording, the frames would keep a wrong order.
+                raise SourceError(f"{place}: {fault}, by {fall_ns / 1e9:.3g} s; {hint} and order")
             raise UnstatedError(f"{place}: {fault}; {hint}", {"time": LOG})
         if self._stream.uses_log and time < (self._last_time or 0):
             fault = f"was recorded before more than {WINDOW} messages that stand before it"
@@ -427,6 +434,7 @@ class _Reads:
     def _has_shape(self, received: Received) -> bool:
         shape = received.numbers.values.shape
         if shape == self._stream.shape:
+            self._check_names(received)
             return True
         if self._is_stated:
             self._tally.drop(OTHER_SHAPE)
@@ -434,6 +442,12 @@ class _Reads:
         shapes = f"{size_text(self._stream.first.numbers)}, then {size_text(received.numbers)}"
         hint = "state n_rows and n_cols: messages of other shapes are left out"
         raise SourceError(f"{self._where}: its shape changes: {shapes}; {hint}")
+
+    def _check_names(self, received: Received) -> None:
+        """Raise SourceError if a message has its taxels in another order than the first one."""
+        names = [axis.names for axis in received.numbers.axes]
+        if names != [axis.names for axis in self._stream.first.numbers.axes]:
+            raise SourceError(f"{self._where}: the order of its taxels changes, as named in it")
 
 
 def open_storage(path: str, work: Workspace) -> Storage:

@@ -22,7 +22,7 @@ from sparseskin.nodes.settings import Settings, setting
 from sparseskin.plugins.boards.settings import split_source, typed
 
 from . import topics
-from .frames import MessageReader, Received, choose_field
+from .frames import MessageReader, Received, Turns, choose_field
 from .messages import installed
 from .messages.definitions import Definitions
 
@@ -90,6 +90,7 @@ class TopicFrames:
         self._is_chosen = bool(layout.field)
         self._arrangement: Arrangement | None = None
         self._first: Received | None = None
+        self._turns = Turns()
         self._last_ns = -1
 
     def frame(self, data: bytes) -> tuple[int, npt.NDArray[Any]] | None:
@@ -116,8 +117,14 @@ class TopicFrames:
         if received.frame_id != reference.frame_id:
             frame_ids = f"messages of several frames: {reference.frame_id!r}, {received.frame_id!r}"
             raise SourceError(f"{self._source}: {frame_ids[:120]}; state frame_id")
+        if not self._layout.frame_id and self._turns.add(received.number):
+            fault = f"messages of several skins: {reference.number!r}, {received.number!r}"
+            raise SourceError(f"{self._source}: {fault[:120]}; state frame_id")
         if numbers.values.shape != reference.numbers.values.shape:
             self._refuse("a shape that is not that of the first one")
+            return None
+        if numbers.axes != reference.numbers.axes:
+            self._refuse("taxels in another order than those of the first one")
             return None
 
         stamp_ns = self._stamp_ns(received)

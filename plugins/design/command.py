@@ -10,7 +10,7 @@ from pathlib import Path
 
 from sparseskin.launch.commands.options import rare
 from sparseskin.nodes.files import whole_file
-from sparseskin.nodes.sensor.files.recording import shown
+from sparseskin.nodes.sensor.layout.checks import shown
 
 from .spec import KEYS, SIZE_KEYS, Design, make_design, read_file
 from .strategies import FEW_SCENES, N_SCENES, STRATEGIES

@@ -19,7 +19,7 @@ import numpy as np
 
 from sparseskin.nodes.errors import SettingsError
 from sparseskin.nodes.lookup import nearest_of
-from sparseskin.nodes.sensor.files.recording import shown
+from sparseskin.nodes.sensor.layout.checks import shown
 
 LENGTH = {"mm": 1e-3, "cm": 1e-2, "m": 1.0, "um": 1e-6}
 FORCE = {"N": 1.0, "mN": 1e-3, "kN": 1e3}

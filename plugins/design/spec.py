@@ -13,7 +13,7 @@ from sparseskin.messages.ranges import is_real, is_whole
 from sparseskin.nodes.errors import SettingsError, SparseskinError
 from sparseskin.nodes.lookup import did_you_mean, nearest_of
 from sparseskin.nodes.numerics.arrays import Mask
-from sparseskin.nodes.sensor.files.recording import shown
+from sparseskin.nodes.sensor.layout.checks import shown
 from sparseskin.nodes.toml import parse_toml
 
 from .models import (

@@ -73,7 +73,7 @@ def _export(arguments: argparse.Namespace) -> int:
         if n_rows is not None or n_cols is not None:
             raise SettingsError("--skin: states rows and columns; leave out --n-rows and --n-cols")
 
-        from sparseskin.nodes.sensor.calibration.skin_file import load_skin
+        from sparseskin.nodes.sensor.skin_file import load_skin
 
         skin = load_skin(arguments.skin).skin
         n_rows = skin.n_rows

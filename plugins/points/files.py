@@ -24,13 +24,8 @@ from sparseskin.messages.skin import MAX_COORDINATE_M, first_far
 from sparseskin.nodes.errors import SourceError
 from sparseskin.nodes.lookup import did_you_mean
 from sparseskin.nodes.numerics.arrays import Doubles, Indices, Mask
-from sparseskin.nodes.sensor.files.recording import (
-    Lines,
-    parse_number,
-    parse_whole,
-    reading,
-    shown,
-)
+from sparseskin.nodes.sensor.files.recording import Lines
+from sparseskin.nodes.sensor.layout.checks import parse_number, parse_whole, reading, shown
 
 from .examples import EXAMPLES
 

@@ -11,15 +11,8 @@ import numpy as np
 
 from sparseskin.nodes.errors import SourceError
 from sparseskin.nodes.numerics.arrays import Doubles
-from sparseskin.nodes.sensor.files.recording import (
-    Lines,
-    Parsed,
-    WholeRecording,
-    parse_number,
-    parse_whole,
-    shown,
-    stack_frames,
-)
+from sparseskin.nodes.sensor.files.recording import Lines, Parsed, WholeRecording, stack_frames
+from sparseskin.nodes.sensor.layout.checks import parse_number, parse_whole, shown
 
 from .movies import KPA_CM2_IN_NEWTONS, LARGEST_NUMBER, check_number, parse_reading, parse_shape
 

@@ -13,14 +13,23 @@ import numpy.typing as npt
 from sparseskin.nodes.errors import SourceError
 from sparseskin.nodes.numerics.array_files import MAX_GROWN_BYTES, MAX_GROWTH
 from sparseskin.nodes.sensor.files.dataset_recording import DatasetRecording, text_of
-from sparseskin.nodes.sensor.files.datasets import MAX_ARRAYS, UNIT, ArrayFile, Dataset
-from sparseskin.nodes.sensor.files.recording import File, unreadable
+from sparseskin.nodes.sensor.files.datasets import (
+    FILL_VALUES,
+    MAX_ARRAYS,
+    OFFSET,
+    SCALE,
+    UNIT,
+    ArrayFile,
+    Dataset,
+)
+from sparseskin.nodes.sensor.files.recording import File
+from sparseskin.nodes.sensor.layout.checks import unreadable
 
 _BEGIN = b"\x89HDF\r\n\x1a\n"
 _MATLAB_CLASS = "MATLAB_class"
 MAX_CHUNK_BYTES = 1 << 30
 """Memory of the chunks that hold some frames together, chosen."""
-_OF_ARRAY = frozenset({UNIT, "units", "long_name"})
+_OF_ARRAY = frozenset({UNIT, "units", "long_name", SCALE, OFFSET, *FILL_VALUES})
 """Attributes that hold for an array alone, not for those in a group that has them."""
 
 

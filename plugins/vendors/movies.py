@@ -10,15 +10,9 @@ import numpy as np
 from sparseskin.messages.fields import MAX_SIDE
 from sparseskin.nodes.errors import SourceError
 from sparseskin.nodes.numerics.arrays import Doubles, Mask
-from sparseskin.nodes.sensor.files.recording import (
-    MAX_READING,
-    Lines,
-    parse_number,
-    parse_whole,
-    rising,
-    shown,
-)
+from sparseskin.nodes.sensor.files.recording import Lines, rising
 from sparseskin.nodes.sensor.layout.arrangement import check_grid
+from sparseskin.nodes.sensor.layout.checks import MAX_READING, parse_number, parse_whole, shown
 
 LARGEST_NUMBER = 999_999_999
 """Largest number of a frame."""

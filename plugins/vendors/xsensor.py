@@ -8,15 +8,8 @@ from typing import NamedTuple
 
 from sparseskin.nodes.errors import SourceError
 from sparseskin.nodes.numerics.arrays import Doubles, Mask
-from sparseskin.nodes.sensor.files.recording import (
-    Lines,
-    Parsed,
-    WholeRecording,
-    parse_number,
-    parse_whole,
-    shown,
-    stack_frames,
-)
+from sparseskin.nodes.sensor.files.recording import Lines, Parsed, WholeRecording, stack_frames
+from sparseskin.nodes.sensor.layout.checks import parse_number, parse_whole, shown
 
 from .movies import LARGEST_NUMBER, check_mask, check_number, parse_shape, read_cells, stamps
 

@@ -26,7 +26,8 @@ from sparseskin.nodes.errors import SourceError
 from sparseskin.nodes.numerics.array_files import MAX_GROWN_BYTES, MAX_GROWTH
 from sparseskin.nodes.sensor.files.dataset_recording import DatasetRecording
 from sparseskin.nodes.sensor.files.datasets import MAX_ARRAYS, ArrayFile, Dataset
-from sparseskin.nodes.sensor.files.recording import File, shown
+from sparseskin.nodes.sensor.files.recording import File
+from sparseskin.nodes.sensor.layout.checks import shown
 from sparseskin.nodes.sensor.layout.layout import UnstatedError
 
 # Format: Zarr storage specification, version 2.

@@ -11,15 +11,12 @@ from sparseskin.messages.state import described
 from sparseskin.nodes.arguments import checked
 from sparseskin.nodes.errors import SparseskinError
 from sparseskin.nodes.lookup import nearest_of
+from sparseskin.nodes.recorder.bag.format import FILE_SUFFIX, PART_SUFFIX
 from sparseskin.nodes.sensor.files.bag import is_bag
 from sparseskin.nodes.sensor.files.file_source import open_file
 from sparseskin.nodes.sensor.files.format import HEAD_BYTES
 from sparseskin.nodes.sensor.files.survey import Needs
 from sparseskin.nodes.sensor.layout.layout import KEYS, Layout
-
-BAG_SUFFIX = ".mcap"
-PART_SUFFIX = ".mcap.part"
-"""Suffix of an incomplete recording of sparseskin."""
 
 
 @checked(SparseskinError)
@@ -86,9 +83,9 @@ def _is_bag(path: str | os.PathLike[str]) -> bool:
     """True for a recording of sparseskin; other programs write .mcap, too."""
     # An incomplete recording has a name that no other program uses.
     name = Path(path).name
-    if name.endswith(PART_SUFFIX):
+    if name.endswith(FILE_SUFFIX + PART_SUFFIX):
         return True
-    if not name.endswith(BAG_SUFFIX):
+    if not name.endswith(FILE_SUFFIX):
         return False
     if not Path(path).is_file():
         # The reader reports that it is missing.
@@ -99,7 +96,7 @@ def _is_bag(path: str | os.PathLike[str]) -> bool:
 
 def _read_bag(path: str | os.PathLike[str], patch: str | None) -> dict[str, Any]:
     # Most recordings are of other programs: these need none of it.
-    from sparseskin.nodes.recorder.bag.frames import array_names, frame_topics, skin_of
+    from sparseskin.nodes.recorder.bag.frames import array_names, patch_topics, skin_of
     from sparseskin.nodes.recorder.bag.patches import split_bag
     from sparseskin.nodes.recorder.bag.reader import BagReader
     from sparseskin.nodes.recorder.convert.npz import export_npz
@@ -107,7 +104,7 @@ def _read_bag(path: str | os.PathLike[str], patch: str | None) -> dict[str, Any]
     with BagReader(path) as whole, tempfile.TemporaryDirectory(prefix="sparseskin-") as folder:
         # Patches that were recorded in batches are read one by one.
         bag = split_bag(whole)
-        patch, topics = _topics_of(path, frame_topics(bag, None), patch)
+        patch, topics = patch_topics(bag, patch)
         # By way of the export, so that names and arrays are the same.
         (written,) = export_npz(bag, Path(folder) / "frames.npz", topics)
         skin = skin_of(bag, patch)
@@ -119,19 +116,3 @@ def _read_bag(path: str | os.PathLike[str], patch: str | None) -> dict[str, Any]
     if skin is not None:
         arrays |= described(skin, skin.rate_hz)
     return arrays
-
-
-def _topics_of(
-    path: str | os.PathLike[str], topics: list[str], patch: str | None
-) -> tuple[str, list[str]]:
-    """The stated patch of a recording, or the only one, and its topics."""
-    from sparseskin.nodes.recorder.bag.frames import patch_of
-
-    patches = sorted({patch_of(topic) for topic in topics})
-    if patch is None and len(patches) > 1:
-        raise SparseskinError(f"{path}: has patches {', '.join(patches)}: state one of them")
-    patch = patch or patches[0]
-    of_patch = [topic for topic in topics if patch_of(topic) == patch]
-    if not of_patch:
-        raise SparseskinError(f"{path}: has no patch {patch!r} (it has {', '.join(patches)})")
-    return patch, of_patch

@@ -159,6 +159,21 @@ def patch_of(topic: str) -> str:
     return split_topic(topic)[0]
 
 
+def patch_topics(bag: BagReader, patch: str | None) -> tuple[str, list[str]]:
+    """The stated patch of a bag, or the only one, and its topics with frames. Raises BagError if
+    there is none, or several, and none is stated.
+    """
+    topics = frame_topics(bag, None)
+    patches = sorted({patch_of(topic) for topic in topics})
+    if patch is None and len(patches) > 1:
+        raise BagError(f"{bag.path}: has patches {', '.join(patches)}: state one of them")
+    patch = patch or patches[0]
+    of_patch = [topic for topic in topics if patch_of(topic) == patch]
+    if not of_patch:
+        raise BagError(f"{bag.path}: has no patch {patch!r} (it has {', '.join(patches)})")
+    return patch, of_patch
+
+
 def progress(items: Iterable[Any], total: int, doing: str) -> Iterator[Any]:
     """Yield the items, with a progress bar on stderr if that is a terminal."""
     # disable=None: no bar unless stderr is a terminal.

@@ -10,7 +10,7 @@ from sparseskin.nodes.recorder.bag.format import BagError
 from sparseskin.nodes.recorder.bag.frames import last_messages, patch_of, skin_of
 from sparseskin.nodes.recorder.bag.reader import BagReader
 from sparseskin.nodes.sensor.calibration.description import SkinFileError, of_messages
-from sparseskin.nodes.sensor.calibration.skin_file import save_skin
+from sparseskin.nodes.sensor.skin_file import save_skin
 
 
 def export_skin(bag: BagReader, out: Path, topics: Iterable[str] | None = None) -> list[Path]:

@@ -23,7 +23,6 @@ from sparseskin.nodes.sensor.doubt import Doubt
 from sparseskin.nodes.sensor.files.file_source import RecordedSource, open_file
 from sparseskin.nodes.sensor.files.survey import Needs
 from sparseskin.nodes.sensor.layout.layout import EMPTY, KEEP, Layout
-from sparseskin.nodes.sensor.saturation import Clipped
 from sparseskin.nodes.sensor.source import DEFAULT_RATE_HZ
 
 
@@ -155,9 +154,9 @@ class _Forces:
         self._chain: Chain | None = None
         if tare or invert:
             self._chain = Chain(described, drift_rate, tare or 0, log)
-        self._clipped = Clipped() if self._chain is None else self._chain.clipped
         has_level = tare is None and not invert
-        self._doubt = Doubt(source.skin, has_level=has_level, is_inverted=invert)
+        clipped = (self._chain or source).clipped
+        self._doubt = Doubt(source.skin, clipped, has_level=has_level, is_inverted=invert)
 
     @property
     def line(self) -> str:
@@ -171,7 +170,7 @@ class _Forces:
             forces = self._chain.process(readings, stamp_ns)
         if forces is None:
             return None
-        reason = self._doubt.look(forces, self._clipped)
+        reason = self._doubt.look(forces)
         forces = self._doubt.filled(forces)
         reasons = (reason,) if reason else ()
         return forces, reasons

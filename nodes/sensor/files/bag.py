@@ -11,9 +11,10 @@ import numpy as np
 
 from sparseskin.nodes.errors import SourceError
 from sparseskin.nodes.sensor.layout.arrangement import Axis
+from sparseskin.nodes.sensor.layout.checks import choose
 from sparseskin.nodes.sensor.layout.tally import Tally
 
-from .recording import Block, File, Head, Recording, choose, frames_per_block
+from .recording import Block, File, Head, Recording, frames_per_block
 
 if TYPE_CHECKING:
     from sparseskin.messages import Taxels

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+import re
+from collections.abc import Iterator, Mapping, Sequence
 from functools import cached_property
 from itertools import chain, islice
 from typing import Any, NamedTuple
@@ -15,18 +16,24 @@ from sparseskin.messages.text import printable
 from sparseskin.nodes.errors import SourceError
 from sparseskin.nodes.numerics.arrays import Mask
 from sparseskin.nodes.sensor.layout import times
+from sparseskin.nodes.sensor.layout.checks import parse_number, shown
 from sparseskin.nodes.sensor.layout.layout import UnstatedError
 from sparseskin.nodes.sensor.layout.tally import Tally
 
 from .datasets import (
     F_MAX,
+    FILL_VALUES,
     FORCES,
     MASK,
     NO_UNITS,
+    OFFSET,
+    PERIOD_NAMES,
     PITCH,
     POINT_ROWS,
     POINTS,
+    RATE_NAMES,
     RATES,
+    SCALE,
     TIME_UNITS,
     UNIT,
     ArrayFile,
@@ -35,7 +42,7 @@ from .datasets import (
     times_keys,
 )
 from .frame_axis import CHANNEL, ENDS, FrameAxis, find_frame_axis, has_time_column
-from .recording import Block, File, Head, Recording, frames_per_block, parse_number, shown
+from .recording import Block, File, Head, Recording, frames_per_block
 
 
 class _Plan(NamedTuple):
@@ -91,11 +98,34 @@ class DatasetRecording(Recording):
             blocks = iter([self._arrays.property_array(plan.key)[np.newaxis]])
         else:
             blocks = self._arrays.blocks(plan.key, plan.frames.axis, size)
+        packing = self._packing(plan.key)
         for block in blocks:
             if block.dtype.kind == "b":
                 block = block.view(np.uint8)
             for begin in range(0, len(block), size):
-                yield block[begin : begin + size]
+                part = block[begin : begin + size]
+                yield self._unpacked(part, packing) if packing else part
+
+    @staticmethod
+    def _unpacked(numbers: npt.NDArray[Any], packing: Mapping[str, float]) -> npt.NDArray[Any]:
+        """Numbers as the attributes of their array state them: NaN for its fill value, times its
+        scale, plus its offset. Source: CF conventions, sections 2.5 and 8.1.
+        """
+        values = numbers.astype(np.float64)
+        for name in FILL_VALUES:
+            if name in packing:
+                values[numbers == packing[name]] = np.nan
+        return values * packing.get(SCALE, 1.0) + packing.get(OFFSET, 0.0)
+
+    def _packing(self, key: str) -> dict[str, float]:
+        """The attributes of an array that state what its numbers stand for."""
+        attributes = self._arrays.datasets[key].attributes
+        packing = {}
+        for name in (SCALE, OFFSET, *FILL_VALUES):
+            value = np.asarray(attributes.get(name, np.nan))
+            if value.size == 1 and value.dtype.kind in "iuf" and np.isfinite(value).all():
+                packing[name] = float(value.reshape(()))
+        return packing
 
     def _times(self, plan: _Plan, size: int) -> Iterator[int | float]:
         """The times of all frames, one after the other, from an array of their own."""
@@ -133,6 +163,10 @@ class DatasetRecording(Recording):
         if key:
             about = f"array {printable(key)}, {about}"
         notes = [f"{about}: {place} ({frames.reason})", *arrays.notes, *time_notes]
+        packing = self._packing(key)
+        if packing:
+            text = ", ".join(f"{name} = {value:g}" for name, value in packing.items())
+            notes.append(f"its numbers are read with {text}")
         if dataset.dtype.kind == "b":
             notes.append("True and False are read as 1 and 0")
         plan = _Plan(key, frames, time_key, None, tuple(notes))
@@ -272,25 +306,35 @@ class DatasetRecording(Recording):
         rate_hz = self._number(plan.key, RATES[0])
         if rate_hz is not None:
             return rate_hz, ()
-        attributes = self._arrays.datasets[plan.key].attributes
         by_name: dict[str, float] = {}
-        for name in RATES[1:]:
-            value = attributes.get(name, np.nan)
-            path = self._arrays.nearest(plan.key, (name,))
-            if path and math.prod(self._arrays.datasets[path].sides) == 1:
-                value = self._arrays.whole(path)
+        for name, value in self._values_beside(plan.key):
             array = np.asarray(value)
             if array.size != 1 or array.dtype.kind not in "iuf":
                 continue
-            number = array.reshape(())
-            if 0 < number < np.inf:
-                by_name[name] = float(number)
+            number = float(array.reshape(()))
+            rate_of_name = rate_of(name, number)
+            if rate_of_name:
+                by_name[name] = rate_of_name
         rates = ", ".join(f"{name} = {rate:g}" for name, rate in by_name.items())
         if len(set(by_name.values())) > 1:
             return None, (f"{rates}: more than one rate is stated, and none is used",)
         if by_name:
             return next(iter(by_name.values())), (f"the rate is that of {rates} Hz",)
         return None, ()
+
+    def _values_beside(self, key: str) -> Iterator[tuple[str, Any]]:
+        """Names and values that may state the rate of an array: attributes, and single numbers in
+        its group or around it.
+        """
+        arrays = self._arrays
+        names = {name.lower(): name for name in arrays.datasets[key].attributes}
+        for name in names.values():
+            yield name, arrays.datasets[key].attributes[name]
+        for path, dataset in arrays.datasets.items():
+            name = arrays.last_part(path)
+            is_nearest = arrays.nearest(key, (name,)) == path
+            if is_nearest and math.prod(dataset.sides) == 1 and rate_of(name, 1.0):
+                yield name, arrays.whole(path)
 
     def _unit(self, plan: _Plan) -> str | None:
         path = self._arrays.nearest(plan.key, (UNIT,))
@@ -374,6 +418,24 @@ class DatasetRecording(Recording):
                 mask_sides[at] = 1
         whole = np.broadcast_to(mask.reshape(mask_sides), item_sides)
         return whole.astype(np.bool_), ()
+
+
+def rate_of(name: str, number: float) -> float:
+    """Frames per second that a number of that name states; 0 if it states none."""
+    words = re.sub(r"(?<=[a-z])(?=[A-Z])", "_", name)
+    letters = re.sub(r"[^a-z]", "", words.lower())
+    if not 0 < number < math.inf:
+        return 0.0
+    if letters.removesuffix("hz") in RATE_NAMES:
+        return number
+    # Of a time between frames, the unit may stand behind the name.
+    if letters in PERIOD_NAMES:
+        return 1 / number
+    unit = times.named_unit(words)
+    stem = re.sub(r"[^a-z]", "", words.lower().rpartition("_")[0])
+    if unit and stem in PERIOD_NAMES:
+        return 1e9 / (number * times.NS[unit])
+    return 0.0
 
 
 def _times(sides: Sequence[int]) -> str:

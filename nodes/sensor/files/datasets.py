@@ -15,10 +15,10 @@ from sparseskin.messages.fields import MAX_ELEMENTS
 from sparseskin.messages.text import printable
 from sparseskin.nodes.errors import SourceError
 from sparseskin.nodes.sensor.layout import times
+from sparseskin.nodes.sensor.layout.checks import choose, shown
 from sparseskin.nodes.sensor.layout.layout import Layout, UnstatedError
 
 from .frame_axis import ArrayShape, can_be_frames, has_time_column
-from .recording import choose, shown
 
 TACTILE = "tactile_data"
 """Part of the names of arrays of tactile datasets."""
@@ -39,12 +39,25 @@ RATES = (
     *("sampling_rate", "sampling_rate_hz", "sampling_frequency", "sample_rate"),
 )
 """Names of rates in hertz, of attributes and of single numbers."""
+RATE_NAMES = frozenset(name.replace("_", "").removesuffix("hz") for name in RATES)
+PERIOD_NAMES = frozenset(
+    {"dt", "ts", "timestep", "sampletime", "frametime"}
+    | {f"{word}{of}" for word in ("sample", "sampling", "frame") for of in ("period", "interval")}
+)
+"""The same of rates, and of times between frames, in small letters without other characters."""
+SCALE = "scale_factor"
+OFFSET = "add_offset"
+FILL_VALUES = ("_FillValue", "missing_value")
+"""Attributes of numbers that stand for others, and of those that stand for none."""
 NO_UNITS = frozenset({"", "-", "1", "none", "unknown", "n/a"})
 TIME_UNITS = {
     **dict.fromkeys(("s", "sec", "second", "seconds"), "s"),
     **dict.fromkeys(("ms", "msec", "millisecond", "milliseconds"), "ms"),
     **dict.fromkeys(("us", "µs", "usec", "microsecond", "microseconds"), "us"),
     **dict.fromkeys(("ns", "nsec", "nanosecond", "nanoseconds"), "ns"),
+    **dict.fromkeys(("min", "minute", "minutes"), "min"),
+    **dict.fromkeys(("h", "hr", "hour", "hours"), "h"),
+    **dict.fromkeys(("d", "day", "days"), "d"),
 }
 """Units of times as attributes state them, alone or before "since"."""
 MAX_STATE = 32

@@ -26,6 +26,7 @@ from sparseskin.messages.skin import Skin
 from sparseskin.nodes.errors import SourceError, SparseskinError
 from sparseskin.nodes.lookup import nearest_of
 from sparseskin.nodes.numerics.arrays import Floats
+from sparseskin.nodes.sensor.layout.checks import ADD, COUNTS, check_unit, reading, shown
 from sparseskin.nodes.sensor.layout.layout import (
     EMPTY,
     HOLD,
@@ -36,11 +37,12 @@ from sparseskin.nodes.sensor.layout.layout import (
     UnstatedError,
 )
 from sparseskin.nodes.sensor.missing import MissingReadings
+from sparseskin.nodes.sensor.saturation import Clipped
 from sparseskin.nodes.sensor.source import DEFAULT_RATE_HZ, MAX_LINES, Source
 
 from .format import folder_files, recording_of
 from .frames import Frames, Stamped
-from .recording import ADD, COUNTS, File, check_unit, reading, shown
+from .recording import File
 from .survey import DIGEST_BYTES, FrameStore, Needs, Survey, Treatment
 
 MAX_FRAMES = 1 << 31
@@ -65,6 +67,7 @@ class RecordedSource(Source):
         self._store: FrameStore | None = None
         self._lines: deque[str] = deque(maxlen=MAX_LINES)
         self._is_told = False
+        self.clipped = Clipped()
         with opened(path, layout, raw) as frames:
             self.name = Path(frames.name).stem
             if Path(path).is_dir():
@@ -80,28 +83,41 @@ class RecordedSource(Source):
                 rate_hz = (frames.n_frames - 1) * 1e9 / frames.last_ns
                 self.rate_hz = float(f"{rate_hz:.6g}")
         self.n_frames = survey.n_frames or frames.head.n_items
+        self.clipped.mask = self.skin.mask
         #: Lower end of the range: below 0 where readings below 0 are kept.
         self.f_min = self._treatment.lower_end
 
     def blocks(self) -> Iterator[Stamped]:
         """Yield blocks of stamps and frames, as `Stamped`."""
+        for stamp_ns, readings in self._readings():
+            yield stamp_ns, self._treatment.apply(readings)
+
+    def _readings(self) -> Iterator[Stamped]:
+        """Yield blocks of stamps and readings, which may be changed, before they are treated."""
         if self._store is not None:
             # A copy: the frames in memory are read again in the next round.
             for stamp_ns, part in self._store.blocks():
-                yield stamp_ns, self._treatment.apply(part.copy())
+                yield stamp_ns, part.copy()
             return
         with opened(self._path, self._layout, self._raw) as frames:
             for stamp_ns, part in frames.blocks():
                 if self._needs.range:
                     self._check_range(part)
-                yield stamp_ns, self._treatment.apply(part)
+                yield stamp_ns, part
             if not self._is_told:
                 self._is_told = True
                 self._lines.extend(frames.notes())
 
     def __iter__(self) -> Iterator[tuple[int, Floats]]:
-        for stamp_ns, frames in self.blocks():
-            yield from zip(stamp_ns.tolist(), frames, strict=True)
+        watches = self._treatment.is_signed and not self._raw
+        for stamp_ns, readings in self._readings():
+            signed = readings.copy() if watches else readings
+            frames = self._treatment.apply(readings)
+            for k, stamp in enumerate(stamp_ns.tolist()):
+                # Readings below 0 show the sign before they become 0.
+                if watches:
+                    self.clipped.watch(signed[k], self.f_min, self.skin.f_max)
+                yield stamp, frames[k]
 
     def filled(self) -> Iterator[tuple[int, Floats, npt.NDArray[np.uint8] | None]]:
         """Yield stamps, frames whose missing readings are filled in, and the bits of these, as
@@ -178,7 +194,7 @@ class RecordedSource(Source):
         needs_all = needs_range or self._needs.digest or Treatment.needs_survey(self._layout)
         store: FrameStore | None = FrameStore(frames.shape)
         for stamp_ns, part in frames.blocks():
-            survey.add(part)
+            survey.add(part, frames.extremes)
 
             if survey.n_frames > MAX_FRAMES:
                 raise SourceError(f"{frames.name}: more than {MAX_FRAMES} frames")

@@ -11,10 +11,11 @@ from pathlib import Path
 
 from sparseskin.nodes.errors import SourceError
 from sparseskin.nodes.extensions import FILES, failures, loaded
+from sparseskin.nodes.sensor.layout.checks import shown
 
 from .arrays import ArrayRecording
 from .bag import BagRecording, is_bag
-from .recording import File, Recording, shown
+from .recording import File, Recording
 from .table.table import TableRecording
 from .table.transposed import TransposedTable
 

@@ -12,10 +12,11 @@ from sparseskin.messages.ranges import INT64_MAX
 from sparseskin.nodes.errors import SourceError
 from sparseskin.nodes.numerics.arrays import Floats, Mask
 from sparseskin.nodes.sensor.layout.arrangement import Arrangement, arrange
+from sparseskin.nodes.sensor.layout.checks import COUNTS, MAX_READING, NAN_HINT
 from sparseskin.nodes.sensor.layout.layout import KEEP, REFUSE, UnstatedError
 from sparseskin.nodes.sensor.layout.times import Stamps, unit_of
 
-from .recording import COUNTS, MAX_READING, NAN_HINT, Block, File, Recording
+from .recording import Block, File, Recording
 
 UNTIMED_PERIOD_NS = 10_000_000
 """Time between frames where neither file nor caller states one, chosen: stamps must rise."""
@@ -46,6 +47,8 @@ class Frames:
         self.last_ns = 0
         #: Frames that the last `blocks` has yielded.
         self.n_frames = 0
+        #: Lowest and highest reading of the block that was yielded last; None: it holds NaN.
+        self.extremes: tuple[float, float] | None = None
         self._sample_block: Block | None = None
         self.arrangement = self._arranged()
         self.mask = self._arranged_mask()
@@ -212,8 +215,10 @@ class Frames:
         allows_below = self.raw or layout.negative != REFUSE
         lower_end = -MAX_READING if allows_below else 0.0
         if lower_end <= lowest and highest <= MAX_READING:  # False for a NaN
+            self.extremes = (float(lowest), float(highest))
             return frames
 
+        self.extremes = None
         is_number = np.isfinite(frames)
         if not layout.accepts_missing:
             self._refuse(readings, ~is_number, f"is not finite; {NAN_HINT}")

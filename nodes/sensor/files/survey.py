@@ -14,9 +14,9 @@ import numpy.typing as npt
 
 from sparseskin.nodes.numerics.arrays import Floats, Mask
 from sparseskin.nodes.sensor.layout.layout import KEEP, MASK, OFFSET, REFUSE, ZERO, Layout
+from sparseskin.nodes.sensor.missing import FILLED
 
 from .frames import Stamped
-from .recording import FILLED
 
 DIGEST_BYTES = 8
 
@@ -81,15 +81,13 @@ class Survey:
             return self.mask
         return np.ones(self.shape, dtype=np.bool_)
 
-    def add(self, frames: Floats) -> None:
-        """Add frames."""
+    def add(self, frames: Floats, extremes: tuple[float, float] | None) -> None:
+        """Add frames, and their lowest and highest reading; None: they hold NaN."""
         self.n_frames += len(frames)
         if self.content is not None:
             self.content.update(np.ascontiguousarray(frames).data)
-        # A missing reading makes the plain extremes NaN; they are faster than fmin and fmax.
-        lowest = float(frames.min())
-        highest = float(frames.max())
-        if lowest <= highest:
+        if extremes is not None:
+            lowest, highest = extremes
             self.has_number[:] = True
         else:
             lowest = float(np.fmin.reduce(frames, axis=None))
@@ -130,6 +128,11 @@ class Treatment:
     def needs_survey(layout: Layout) -> bool:
         """True if readings of later frames decide the range or what is done with the first one."""
         return layout.nan == MASK or layout.negative in (MASK, OFFSET, KEEP)
+
+    @property
+    def is_signed(self) -> bool:
+        """True if readings below 0 are stated to be kept, or to become 0."""
+        return self._layout.negative in (KEEP, ZERO)
 
     @property
     def lower_end(self) -> float:

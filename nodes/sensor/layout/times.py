@@ -18,6 +18,7 @@ from .layout import UnstatedError
 ISO = "iso"
 CLOCK_UNIT = "clock"
 NS = {"ns": 1, "us": 10**3, "ms": 10**6, "s": 10**9, ISO: 1, CLOCK_UNIT: 1}
+NS |= {"min": 60 * 10**9, "h": 3600 * 10**9, "d": 86_400 * 10**9}
 """Nanoseconds of each unit. Stamps of ISO 8601 and times of day are read as nanoseconds."""
 TIME_NAME = re.compile(
     r"[%_\s]*(?:field\.|header[._])*(t|ts|times?|times?_?stamps?|stamps?|date|date_?time|elapsed"
@@ -25,15 +26,27 @@ TIME_NAME = re.compile(
 )
 """Begin of the name of a column or array of times, in small letters."""
 UNIT_NAME = re.compile(
-    r"(?:^|[^a-z])(ns|us|µs|ms|s)(?:ec|econds)?\W*$|(nanos|micros|millis|seconds)$"
+    r"(?:(?:^|[^a-z])(?P<short>ns|us|µs|ms|s)"
+    r"|[^a-z](?P<rare>min|hr?|d)"
+    r"|(?P<part>nano|micro|milli|[num]|µ)?(?:secs?|seconds?)"
+    r"|(?P<arduino>nanos|micros|millis)"
+    r"|(?P<long>mins|minute|hour|hr|day)s?)\W*$"
 )
-LONG_UNITS = {"nanos": "ns", "micros": "us", "millis": "ms", "seconds": "s", "µs": "us"}
+LONG_UNITS = {
+    **{"nanos": "ns", "nano": "ns", "n": "ns", "micros": "us", "micro": "us", "u": "us"},
+    **{"µs": "us", "µ": "us", "millis": "ms", "milli": "ms", "m": "ms"},
+    **{"mins": "min", "minute": "min", "hour": "h", "hr": "h", "day": "d"},
+}
 EPOCH_S = 9.0e8, 4.2e9
 """Seconds since 1970 that can be a date: 1998 to 2103, chosen."""
+FIRST_YEAR = 1998
+LAST_YEAR = 2103
 RATES_HZ = 0.1, 2000.0
 """Rates at which skins are read; chosen: of a bed a frame in 10 s, of boards 2 kHz."""
 OTHER_DATE = re.compile(r"(?:(\d{1,2})\.(\d{1,2})\.(\d{4})|(\d{4})/(\d{1,2})/(\d{1,2}))(?=$|[ T])")
 """Dates of one meaning; 3/12/2026 has two."""
+BASIC_DATE = re.compile(r"(\d{8})[T_ ]?(\d{6})(?:[.,]?(\d{1,9}))?")
+"""Dates without separators, as 20260312T101502.120 or 20260312101502."""
 USUAL_WRAP = 1 << 32
 """Units of time until clocks of microcontrollers are 0 again."""
 DAY_NS = 86_400 * 10**9
@@ -49,17 +62,22 @@ def named_unit(name: str) -> str:
     """Unit in the name of a column or array, as of "time_ms"; "" if there is none."""
     if re.fullmatch(r"%time", name.strip().lower()):
         return "ns"  # as rostopic echo -p prints it
-    match = UNIT_NAME.search(name.lower())
-    if match is None:
+    words = re.sub(r"(?<=[a-z])(?=[A-Z])", "_", name).lower()
+    match = UNIT_NAME.search(words)
+    # As "hundredths of a second".
+    if match is None or re.search(r"tenth|hundred|1/", words):
         return ""
-    unit = match[1] or match[2]
+    unit = next(filter(None, match.groups()), "s")
     return LONG_UNITS.get(unit, unit)
 
 
 def iso_ns(text: str) -> int | None:
-    """Nanoseconds since 1970 of a stamp of ISO 8601, or with a date as 12.03.2026 or 2026/03/12, of
-    UTC where it states no zone; None: none.
+    """Nanoseconds since 1970 of a stamp of ISO 8601, or with a date as 12.03.2026, 2026/03/12 or
+    20260312101502, of UTC where it states no zone; None: none.
     """
+    basic = BASIC_DATE.fullmatch(text)
+    if basic is not None:
+        text = f"{basic[1]}T{basic[2]}.{basic[3] or 0}"
     date = OTHER_DATE.match(text)
     if date is not None:
         time = text[date.end() :].replace(",", ".")
@@ -68,12 +86,15 @@ def iso_ns(text: str) -> int | None:
         else:
             year, month, day = date.group(4, 5, 6)
         text = f"{year}-{int(month):02}-{int(day):02}{time}"
-    if "-" not in text[1:]:
+    if basic is None and "-" not in text[1:]:
         return None
 
     try:
         moment = datetime.fromisoformat(text)
     except ValueError:
+        return None
+    # Other numbers of so many digits are no dates of a recording.
+    if basic is not None and not FIRST_YEAR <= moment.year <= LAST_YEAR:
         return None
     if not moment.tzinfo:
         moment = moment.replace(tzinfo=UTC)

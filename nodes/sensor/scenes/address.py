@@ -13,8 +13,8 @@ from sparseskin.nodes.errors import SourceError
 from sparseskin.nodes.extensions import POINTS, loaded
 from sparseskin.nodes.lookup import did_you_mean
 from sparseskin.nodes.sensor.calibration.description import SkinDescription
-from sparseskin.nodes.sensor.calibration.skin_file import parse_skin
 from sparseskin.nodes.sensor.points import point_scenes, point_skins
+from sparseskin.nodes.sensor.skin_file import parse_skin
 from sparseskin.nodes.sensor.source import Address, Listing, Source, about
 
 from .scenes import SCENES, check_scene, open_scene

@@ -10,7 +10,7 @@ from typing import IO, Any, NamedTuple
 import lz4.frame  # type: ignore[import-untyped, unused-ignore]
 
 from sparseskin.nodes.errors import SourceError
-from sparseskin.nodes.sensor.files.recording import reading
+from sparseskin.nodes.sensor.layout.checks import reading
 from sparseskin.plugins.bridges.messages.definitions import full_name
 
 from .storage import Recorded, Storage, Topic

@@ -9,7 +9,7 @@ from pathlib import Path
 
 from sparseskin.nodes.errors import SourceError
 from sparseskin.nodes.numerics.array_files import MAX_GROWN_BYTES
-from sparseskin.nodes.sensor.files.recording import unreadable
+from sparseskin.nodes.sensor.layout.checks import unreadable
 
 from .storage import Recorded, Storage, Topic
 

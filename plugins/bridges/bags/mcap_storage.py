@@ -22,7 +22,7 @@ from sparseskin.nodes.recorder.bag.records import (
     open_chunk,
     records,
 )
-from sparseskin.nodes.sensor.files.recording import reading
+from sparseskin.nodes.sensor.layout.checks import reading
 from sparseskin.plugins.bridges.messages.definitions import full_name
 
 from .storage import Recorded, Storage, Topic

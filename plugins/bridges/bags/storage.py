@@ -14,7 +14,7 @@ import zstandard
 
 from sparseskin.nodes.errors import SourceError
 from sparseskin.nodes.numerics.array_files import MAX_GROWN_BYTES, MAX_GROWTH
-from sparseskin.nodes.sensor.files.recording import reading
+from sparseskin.nodes.sensor.layout.checks import reading
 
 ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
 MAX_MESSAGE_BYTES = 1 << 28

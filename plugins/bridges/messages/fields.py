@@ -24,6 +24,9 @@ ENDING = re.compile(r"(.*?)((?:\[\])*)", re.DOTALL)
 """A path, without the axes at its end, and these."""
 NO_READINGS = re.compile(r"(.*_)?(ids?|index|seq|count|stamps?|sec|nsec|nanosec|time.*)")
 """Fields of messages that are no readings, where there are others."""
+NAMES = ("name", "names", "label", "labels", "id", "ids", "index", "indices", "taxel_id")
+"""Members beside numbers that name them."""
+COMPRESSED = ("CompressedImage", "CompressedVideo", "CompressedPointCloud2")
 MAX_LISTED = 8
 """Most entries of a list of which each may be a skin of its own; chosen."""
 MAX_PATHS = 256
@@ -71,7 +74,55 @@ def numbers_at(message: Message, path: str) -> Numbers:
 
     if walked.is_grid:
         return Numbers(values, walked.axes)
-    return _joined(walked._replace(values=values))
+    numbers = _joined(walked._replace(values=values))
+    names = _names_beside(message, steps_of(path), values.size)
+    if names and len(numbers.axes) == 1:
+        (axis,) = numbers.axes
+        return Numbers(numbers.values, (axis._replace(names=names),))
+    return numbers
+
+
+def _names_beside(message: Message, steps: list[Step], n: int) -> tuple[str, ...]:
+    """Names of the n numbers of a list that stand beside them, where they are in no order; ()
+    where there are none. Names without a number say nothing of the order.
+    """
+    if steps.count(None) > 1:
+        return ()
+    if None not in steps:
+        return ()
+    # Beside a list, or in each entry of a list of messages.
+    is_list = steps[-1] is None
+    stem = steps[:-2] if is_list else steps[:-1]
+    ending = [None] if is_list else []
+
+    for name in NAMES:
+        try:
+            value = _value_of(message, [*stem, name, *ending])
+        except SourceError:
+            continue
+        texts = tuple(map(str, value))
+        digits = [re.search(r"\d+", text) for text in texts]
+        numbers = [int(match[0]) for match in digits if match is not None]
+        if len(texts) == n == len(numbers) == len(set(texts)) and numbers != sorted(numbers):
+            return tuple(f"taxel_{text}" if text.isdecimal() else text for text in texts)
+    return ()
+
+
+def _value_of(message: Message, steps: list[Step]) -> list[Any]:
+    """The entries of a list of texts or whole numbers. Raises SourceError if there are none."""
+    value: Any = message
+    for at, step in enumerate(steps):
+        if isinstance(value, Message) and isinstance(step, str):
+            value = _of_message(value, step)
+        elif step is None and isinstance(value, list) and at + 1 < len(steps):
+            return [_of_message(entry, steps[-1]) for entry in value]
+        elif isinstance(value, np.ndarray) and isinstance(step, str):
+            value = _member_of(value, step)
+    if isinstance(value, np.ndarray) and value.dtype.kind in "iu" and value.ndim == 1:
+        return list(value.tolist())
+    if isinstance(value, list) and all(isinstance(entry, int | str) for entry in value):
+        return value
+    raise SourceError("no list of names")
 
 
 def value_at(message: Message, path: str) -> int | float | Message:
@@ -96,6 +147,8 @@ def paths_of(message: Message, channel: str = "") -> dict[str, Numbers]:
     """The fields of a message that hold lists of numbers, by their path: of fields named x, y and z
     beside each other that of the channel, or z.
     """
+    if message.kind.rpartition("/")[2] in COMPRESSED:
+        raise SourceError(f"{message.kind} is compressed; record the messages that it is made of")
     fields: dict[str, Numbers] = {}
     for path in only_channel(_paths(message), channel):
         try:

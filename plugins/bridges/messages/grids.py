@@ -12,8 +12,8 @@ import numpy.typing as npt
 from sparseskin.messages.fields import MAX_ELEMENTS
 from sparseskin.messages.text import printable
 from sparseskin.nodes.errors import SourceError
-from sparseskin.nodes.sensor.files.recording import choose
 from sparseskin.nodes.sensor.layout.arrangement import Axis
+from sparseskin.nodes.sensor.layout.checks import choose
 from sparseskin.nodes.sensor.layout.layout import UnstatedError
 from sparseskin.plugins.bridges.cdr import CLOUD, IMAGE
 

@@ -12,7 +12,7 @@ from sparseskin.launch.commands import calibrate
 from sparseskin.launch.commands.cli import main
 from sparseskin.nodes.recorder.bag.reader import BagReader
 from sparseskin.nodes.sensor.calibration.description import SkinDescription
-from sparseskin.nodes.sensor.calibration.skin_file import load_skin, save_skin
+from sparseskin.nodes.sensor.skin_file import load_skin, save_skin
 
 SHAPE = (4, 6)
 RNG = np.random.default_rng(0)

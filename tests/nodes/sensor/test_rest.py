@@ -18,10 +18,10 @@ from sparseskin.nodes.node import Context, Tick
 from sparseskin.nodes.recorder.bag.reader import BagReader
 from sparseskin.nodes.sensor.calibration.chain import TARE_FRAMES, Chain
 from sparseskin.nodes.sensor.calibration.description import SkinDescription
-from sparseskin.nodes.sensor.calibration.skin_file import load_skin, save_skin
 from sparseskin.nodes.sensor.node import Sensor
 from sparseskin.nodes.sensor.rest import Rest
 from sparseskin.nodes.sensor.saturation import Clipped
+from sparseskin.nodes.sensor.skin_file import load_skin, save_skin
 from sparseskin.nodes.sensor.zero import Zero
 from sparseskin.studies.stability import rests
 
@@ -180,6 +180,18 @@ def test_readings_of_the_other_sign_are_not_trusted_and_a_line_says_which(folder
     other = {"false": "true", "true": "false"}[answer]
     assert any(f"; add sensor.invert={other} if a press does that" in line for line in log)
     assert any(f"sensor.invert={other}" in line for line in sensor.report()["lines"])
+
+
+@pytest.mark.parametrize("negative", ["zero", "keep"])
+@pytest.mark.parametrize(("sign", "reason"), [(1, ""), (-1, "sign")])
+def test_a_file_of_tared_readings_that_fall_is_not_trusted(folder, negative, sign, reason):
+    np.save("tared.npy", readings(sign, level=0).astype(np.float32))
+    words = ["file:tared.npy", f"negative={negative}", "unit=counts"]
+    assert {frame.reason for frame in replayed(*words)[-N_PRESSED:]} == {reason}
+
+    options = ["--negative", negative, "--unit", "counts"]
+    assert main(["recording", "import", "tared.npy", "--out", "a.mcap", *options]) == 0
+    assert ("sign" in reasons_in("a.mcap")) == (sign < 0)
 
 
 def test_the_sign_may_be_changed_while_a_graph_runs(folder):

@@ -1,5 +1,6 @@
 """Recordings of ROS 1 and ROS 2, drawn at random and written by rosbags, as files of readings."""
 
+import shutil
 import sqlite3
 from contextlib import closing
 from dataclasses import replace
@@ -15,6 +16,7 @@ pytest.importorskip("rosbags", reason="rosbags is not installed")
 from drawn_messages import (
     BEGIN_NS,
     PERIOD_NS,
+    TOPIC,
     Grid,
     Sent,
     files_of,
@@ -22,6 +24,8 @@ from drawn_messages import (
     grids,
     interleaved,
     message_of,
+    registered,
+    store_of,
     stream_store,
     write_bag,
 )
@@ -32,7 +36,7 @@ from sparseskin.nodes.errors import SourceError
 from sparseskin.nodes.sensor.files.file_source import open_file
 from sparseskin.nodes.sensor.files.recording import File
 from sparseskin.nodes.sensor.layout.arrangement import arrange
-from sparseskin.nodes.sensor.layout.layout import EMPTY, UnstatedError
+from sparseskin.nodes.sensor.layout.layout import EMPTY, Layout, UnstatedError
 from sparseskin.plugins.bridges import cdr
 from sparseskin.plugins.bridges.messages.grids import ARRAYS
 from sparseskin.plugins.bridges.recordings import WINDOW, RosRecording, in_order
@@ -232,13 +236,22 @@ def test_the_files_of_a_bag_of_ros_2_follow_each_other(tmp_path, kind):
 
 def test_stamps_that_fall_are_never_used_without_a_word(tmp_path):
     sent = images(4)
-    sent[2] = replace(sent[2], stamp_ns=sent[0].stamp_ns)
+    # Of a clock that was set.
+    sent[2] = replace(sent[2], stamp_ns=sent[0].stamp_ns - 10**9)
     path = write_bag(tmp_path, "mcap", "", IMAGES, sent)
     with pytest.raises(UnstatedError, match="message 3: its stamp is before") as refused:
         Read(path)
     assert refused.value.options == ({"time": "log"},)
     assert Read(path, replace(EMPTY, time="log")).times == [one.log_ns for one in sent]
     with pytest.raises(SourceError, match=r"; add time=log$"):
+        open_file(path)
+
+
+def test_of_messages_that_were_overtaken_no_order_is_proposed(tmp_path):
+    sent = images(4)
+    sent[2] = replace(sent[2], stamp_ns=sent[0].stamp_ns)
+    path = write_bag(tmp_path, "mcap", "", IMAGES, sent)
+    with pytest.raises(SourceError, match=r"times of the recording and order$"):
         open_file(path)
 
 
@@ -357,3 +370,50 @@ def test_random_and_mutated_recordings_are_read_or_refused_in_one_line(tmp_path,
     path.write_bytes(mutated(data, whole[kind]))
     refusal(lambda: read.append(Read(path)), SourceError)
     assert all(frame.shape == (3, 4) for one in read for frame in one.frames)
+
+
+LABELLED = "maker_msgs/msg/Labelled"
+LABELLED_TEXT = """uint32 time_ms
+uint8 id
+uint8[] ids
+float32[] values
+"""
+
+
+def labelled_bag(path, messages):
+    """A bag of messages (time_ms, id, ids, values)."""
+    store = registered(store_of(2), LABELLED, LABELLED_TEXT)
+    shutil.rmtree(path, ignore_errors=True)
+    with rosbag2.Writer(path, version=9) as writer:
+        connection = writer.add_connection(TOPIC, LABELLED, typestore=store)
+        for k, (time_ms, skin, ids, values) in enumerate(messages):
+            body = store.types[LABELLED](time_ms, skin, np.array(ids, "u1"), np.array(values, "f4"))
+            writer.write(connection, BEGIN_NS + k * PERIOD_NS, store.serialize_cdr(body, LABELLED))
+    return path
+
+
+@any_folder
+@given(order=st.permutations(range(6)), n_skins=st.integers(1, 3))
+def test_members_of_messages_say_time_skin_and_order(tmp_path, order, n_skins):
+    values = np.arange(6.0)
+    messages = [
+        (70 * k, k % n_skins, order, values[list(order)] + 10 * k) for k in range(4 * n_skins)
+    ]
+    path = labelled_bag(tmp_path / "bag", messages)
+    layout = Layout(n_rows=2, n_cols=3, field="values[]")
+    if n_skins > 1:
+        with pytest.raises(SourceError, match="state frame_id"):
+            open_file(path, layout)
+    for skin in range(n_skins):
+        source = open_file(path, layout.stating({"frame_id": str(skin)}))
+        numbers = np.arange(skin, 4 * n_skins, n_skins)
+        expected = values + 10 * numbers[:, np.newaxis]
+        np.testing.assert_array_equal(source.frames, expected.reshape(-1, 2, 3))
+        np.testing.assert_allclose(source.stamp_ns / 1e9, 0.07 * (numbers - skin), atol=1e-9)
+
+
+def test_taxels_that_change_places_are_refused(tmp_path):
+    messages = [(0, 0, [0, 1, 2, 3], range(4)), (70, 0, [1, 0, 2, 3], range(4))]
+    path = labelled_bag(tmp_path / "bag", messages)
+    with pytest.raises(SourceError, match="the order of its taxels changes"):
+        open_file(path, Layout(n_rows=2, n_cols=2, field="values[]"))

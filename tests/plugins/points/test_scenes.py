@@ -15,10 +15,10 @@ from sparseskin.nodes.errors import SettingsError, SourceError
 from sparseskin.nodes.node import Context, Tick
 from sparseskin.nodes.recorder.bag.reader import BagReader
 from sparseskin.nodes.sensor.calibration.description import SkinFileError
-from sparseskin.nodes.sensor.calibration.skin_file import load_skin, save_skin
 from sparseskin.nodes.sensor.files.file_source import open_file
 from sparseskin.nodes.sensor.node import Sensor
 from sparseskin.nodes.sensor.scenes.scenes import SKIN
+from sparseskin.nodes.sensor.skin_file import load_skin, save_skin
 from sparseskin.plugins.points.placing import placed
 from sparseskin.plugins.points.scenes import SCENES, PointScene
 

@@ -130,14 +130,29 @@ def test_attributes_state_unit_rate_range_and_pitch(tmp_path):
     np.testing.assert_allclose(even.stamp_ns / 1e9, np.arange(5) / 40, atol=1e-6)
 
 
+@pytest.mark.parametrize("fill_name", ["_FillValue", "missing_value"])
+def test_numbers_are_unpacked_as_their_attributes_state(tmp_path, fill_name):
+    numbers = np.arange(60).reshape(5, 4, 3)
+
+    def write(file):
+        put(file, run__pad=numbers.astype("i2"))
+        file["run/pad"].attrs.update(scale_factor=0.5, add_offset=3.0)
+        file["run/pad"].attrs[fill_name] = np.int16(7)
+
+    source = read(tmp_path, written(write), missing="none")
+    expected = np.where(numbers == 7, np.nan, 0.5 * numbers + 3.0)
+    np.testing.assert_array_equal(source.frames, expected)
+    assert any("read with scale_factor = 0.5" in note for note in source.notes)
+
+
 def test_times_of_an_unknown_unit_are_refused(tmp_path):
     def write(file):
         put(file, pad=FRAMES, time=TIMES)
-        file["time"].attrs["units"] = "days since 2026-01-01"
+        file["time"].attrs["units"] = "weeks since 2026-01-01"
 
     raw = written(write)
     with pytest.raises(
-        SourceError, match="array 'time': its unit is 'days', none of ns, us, ms, s"
+        SourceError, match="array 'time': its unit is 'weeks', none of ns, us, ms, s"
     ):
         read(tmp_path, raw)
     stamps = read(tmp_path, raw, time_unit="s").stamp_ns

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
+from itertools import pairwise
 
 import numpy as np
 
 from sparseskin.nodes.errors import SourceError
-from sparseskin.nodes.sensor.files.recording import shown
+from sparseskin.nodes.sensor.layout.checks import shown
 from sparseskin.nodes.sensor.layout.layout import Layout, UnstatedError
 from sparseskin.nodes.sensor.layout.names import (
     matching,
@@ -33,6 +34,7 @@ from .sample import (
     column_of,
     holds_values,
     is_indexed,
+    is_value,
 )
 
 RISING_LINES = 8
@@ -42,6 +44,13 @@ SOURCE_WORDS = (
     *("device_id", "skin", "patch", "mat", "board", "module"),
 )
 """Names of columns that state which skin a line is of."""
+MAX_SKINS = 16
+"""Most skins whose lines take turns in one table; chosen."""
+MIN_ROUNDS = 3
+"""Least rounds in which numbers repeat that are those of skins; chosen."""
+MIN_TURNS = 1 / 3
+"""Least part of the lines whose text is not that of the line before, where texts are names of
+skins; chosen: a label of what goes on changes rarely."""
 SECONDS = re.compile(r"(.*?)(?:secs?|seconds)")
 NANOSECONDS = re.compile(r"(.*?)(?:nsecs?|nanosecs?|nanoseconds)")
 TIME_LIKE = re.compile(r"\d[:h]\d\d(?!\d)|\d[-/.]\d{1,2}[-/.]\d")
@@ -198,6 +207,9 @@ def source_column(head: TableHead, layout: Layout, data: Sequence[Line], name: s
     Raises UnstatedError if lines are of several skins, and none is stated.
     """
     columns = [k for k, label in enumerate(head.names) if label.lower() in SOURCE_WORDS]
+    if not layout.columns:
+        unnamed = [k for k in range(head.width) if k not in columns]
+        columns += [k for k in unnamed if _takes_turns(head, data, k)]
     for k in columns:
         values = list(dict.fromkeys(line.cells[k] for line in data))
         if layout.frame_id in values:
@@ -210,6 +222,26 @@ def source_column(head: TableHead, layout: Layout, data: Sequence[Line], name: s
     if layout.frame_id:
         raise SourceError(f"{name}: frame_id: no column states {shown(layout.frame_id)}")
     return None
+
+
+def _takes_turns(head: TableHead, data: Sequence[Line], k: int) -> bool:
+    """True if a column that is no taxel and no time has a few values that take turns in the lines:
+    texts, or numbers 0, 1, 0, 1 under a name without a number.
+    """
+    cells = [line.cells[k] for line in data]
+    values = list(dict.fromkeys(cells))
+    if not 1 < len(values) <= MAX_SKINS or len(values) == len(cells):
+        return False
+    if k in head.numeric:
+        n = len(values)
+        goes_round = all(cell == values[at % n] for at, cell in enumerate(cells))
+        is_named = bool(head.names[k]) and not is_indexed(head, k)
+        is_whole = all(map(str.isdecimal, values))
+        return is_named and is_whole and goes_round and len(cells) >= MIN_ROUNDS * n
+    if any(map(is_value, values)):
+        return False
+    n_turns = sum(cell != cell_before for cell_before, cell in pairwise(cells))
+    return n_turns > MIN_TURNS * len(cells)
 
 
 def _counts(numbers: np.ndarray[tuple[int], np.dtype[np.float64]]) -> bool:

@@ -9,8 +9,9 @@ from itertools import islice
 import numpy as np
 
 from sparseskin.nodes.errors import SourceError
-from sparseskin.nodes.sensor.files.recording import File, is_missing
-from sparseskin.nodes.sensor.layout.layout import Layout
+from sparseskin.nodes.sensor.files.recording import File
+from sparseskin.nodes.sensor.layout.checks import is_missing, shown
+from sparseskin.nodes.sensor.layout.layout import Layout, UnstatedError
 from sparseskin.nodes.sensor.layout.names import (
     COL_WORDS,
     ROW_WORDS,
@@ -37,8 +38,27 @@ from .text import COMMENTS, Dialect, dialect_of, pieces
 
 MAX_SAMPLE = 1000
 """Lines of the begin that are looked at; chosen: a thousand frames."""
-COUNTED = 8
-"""Least length of a line 0, 1, 2, ... that is a header, chosen: no frame reads so."""
+COUNTED = 4
+"""Least length of a line 0, 1, 2, ... that is a header. Chosen: of readings up to 10 one frame in
+10,000 reads so."""
+RATE_LINE = re.compile(
+    r"\W*(?:(?:sampl\w*|frame|scan|acquisition|capture|recording|data|log\w*)[ _]*"
+    r"(?:rate|freq\w*)|rate|frequency|fs|fps)\b[^\w.]*(?:in\s*)?(?:hz\W+)?"
+    r"(\d+(?:\.\d+)?)[\s\"]*(?:hz|fps|1/s|/s|samples/s|frames/s)?[\s\",;\t]*",
+    re.IGNORECASE,
+)
+PERIOD_LINE = re.compile(
+    r"\W*(?:seconds?_per_frame|(?:sampl\w*|frame|scan)[ _]*(?:interval|period|time))\b\W*"
+    r"(?:(ms|s)\W+)?(\d*\.?\d+)\s*(ms|s|sec|seconds)?[\s\",;\t]*",
+    re.IGNORECASE,
+)
+"""Lines before a table that state its rate, or the time from frame to frame."""
+TITLE_TIME = re.compile(
+    r"\d:\d\d[:.]\d|\b(?:t|ts|time|times?tamp|stamp|elapsed)\b[^\w.+-]*\d"
+    r"|\d\s*(?:ns|us|ms|s|sec|seconds)\b",
+    re.IGNORECASE,
+)
+"""Times in lines between frames."""
 EXCEL_LINE = re.compile(r"sep=(.)", re.IGNORECASE)
 VALUE_WORDS = ("value", "val", "v", "force", "pressure", "reading", "data", "count", "counts")
 TAXEL_WORDS = ("taxel", "taxel_id", "sensor", "sensor_id", "channel", "cell", "electrode", "id")
@@ -76,6 +96,7 @@ def read_head(file: File) -> TableHead:
 
     _find_kind(head, file, raw, data)
     if head.kind == LINES:
+        _ask_for_axes(head, layout, data, file.name)
         head.source = source_column(head, layout, data, file.name)
     if head.source is not None:
         data = [line for line in data if line.cells[head.source] == layout.frame_id]
@@ -83,7 +104,10 @@ def read_head(file: File) -> TableHead:
         head.notes += ("commas are decimal points",)
 
     # The lines of a block have no times of their own.
-    if head.kind != GRID:
+    _rate(head, raw, data[0].number)
+    if head.kind == GRID:
+        _ask_for_titles(head, layout, raw, file.name, data[0].number)
+    else:
         head.time = time_column(head, layout, data, file.name)
     if head.time is not None:
         head.nanoseconds = nanoseconds_beside(head, head.time)
@@ -102,6 +126,22 @@ def _note_texts(head: TableHead) -> None:
         if len(texts) > MAX_SHOWN:
             labels += ", ..."
         head.notes += (f"no numbers, and left out: column {labels}",)
+
+
+def _ask_for_axes(head: TableHead, layout: Layout, data: Sequence[Line], name: str) -> None:
+    """Raise UnstatedError if lines have names of taxels, as s0, s1, and are as many as these."""
+    if layout.columns or layout.axes or len(data) != layout.n_stated:
+        return
+    names = [line.cells[0] for line in data]
+    patterns = {re.sub(r"\d+", "#", text) for text in names}
+    is_one_family = len(patterns) == 1 and "#" in patterns.pop()
+    if 0 in head.numeric or len(set(names)) < len(names) or not is_one_family:
+        return
+    if not all(text[:1].isalpha() for text in names):
+        return
+    fault = f"lines are named {shown(names[0])}, {shown(names[-1])}: which are taxels is not stated"
+    ways = "state axes=taxels,frames, or columns if a line is a frame"
+    raise UnstatedError(f"{name}: {fault}; {ways}", {"axes": "taxels,frames"})
 
 
 def _first_lines(file: File) -> list[tuple[int, str]]:
@@ -215,7 +255,9 @@ def _is_header(cells: Sequence[str], later: Sequence[Line]) -> bool:
     """True if a line has texts in columns that hold numbers later; or it counts the columns, as
     programs name them that know no names.
     """
-    if _counts_columns(cells) and len(cells) >= COUNTED:
+    is_indexed_too = cells[0] == "" and len(cells) > 1
+    is_long = len(cells) >= COUNTED
+    if _counts_columns(cells) and (is_long or is_indexed_too):
         # Frames of a test pattern count on.
         return not _steps_by_one(later[0].cells[: len(cells)])
     for k, cell in enumerate(cells):
@@ -228,6 +270,47 @@ def _is_header(cells: Sequence[str], later: Sequence[Line]) -> bool:
         if cell and 2 * n_values > len(below):
             return True
     return False
+
+
+def _rate(head: TableHead, raw: list[tuple[int, str]], first_number: int) -> None:
+    """Learn the rate that a line before the table states."""
+    rates: dict[float, str] = {}
+    for number, text in raw:
+        if number >= first_number:
+            break
+        rate = RATE_LINE.fullmatch(text)
+        period = PERIOD_LINE.fullmatch(text)
+        rate_hz = 0.0
+        if rate is not None:
+            rate_hz = float(rate[1])
+        elif period is not None and float(period[2]):
+            per_s = 1000 if "ms" in (period[1], period[3]) else 1
+            rate_hz = per_s / float(period[2])
+        if rate_hz:
+            rates[rate_hz] = text.strip()
+    if len(rates) == 1:
+        ((head.rate_hz, text),) = rates.items()
+        head.notes += (f"the rate is that of the line {shown(text)}",)
+
+
+def _ask_for_titles(
+    head: TableHead, layout: Layout, raw: list[tuple[int, str]], name: str, first_number: int
+) -> None:
+    """Raise SourceError if lines between the frames of a grid state times, which are not read."""
+    if layout.rate_hz is not None or layout.time or head.rate_hz is not None:
+        return
+    titles = []
+    for number, text in raw:
+        cells = head.dialect.cells(text)
+        is_row = len(cells) in _widths(head) and any(map(is_number, cells))
+        if TITLE_TIME.search(text) and not is_row:
+            titles.append((number, text.strip()))
+    # One such line is about the whole recording.
+    later = [number for number, _ in titles if number > first_number]
+    if later and len(titles) > 1:
+        number, text = titles[0]
+        fault = f"line {number}, {shown(text)}, states a time, which is not read"
+        raise SourceError(f"{name}: {fault}; state rate_hz, or time=none")
 
 
 def _steps_by_one(cells: Sequence[str]) -> bool:

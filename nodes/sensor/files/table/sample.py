@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from sparseskin.nodes.sensor.files.recording import is_missing, shown
+from sparseskin.nodes.sensor.layout.checks import is_missing, shown
 from sparseskin.nodes.sensor.layout.times import (
     clock_ns,
     iso_ns,
@@ -40,6 +40,7 @@ class TableHead:
     time: int | None = None
     nanoseconds: int | None = None  # column with those of a time in seconds
     time_unit: str = ""
+    rate_hz: float | None = None  # as a line before the table states it
     kind: str = LINES
     height: int = 1  # lines of a frame of a grid
     long: LongColumns | None = None

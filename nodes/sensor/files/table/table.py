@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator, Sequence
 from typing import IO
 
@@ -10,19 +11,9 @@ import numpy.typing as npt
 
 from sparseskin.nodes.errors import SourceError
 from sparseskin.nodes.numerics.arrays import Doubles
-from sparseskin.nodes.sensor.files.recording import (
-    NAN_HINT,
-    Block,
-    File,
-    Head,
-    Recording,
-    frames_per_block,
-    is_missing,
-    parse_number,
-    reading,
-    shown,
-)
+from sparseskin.nodes.sensor.files.recording import Block, File, Head, Recording, frames_per_block
 from sparseskin.nodes.sensor.layout.arrangement import Axis
+from sparseskin.nodes.sensor.layout.checks import NAN_HINT, is_missing, parse_number, reading, shown
 from sparseskin.nodes.sensor.layout.layout import UnstatedError
 from sparseskin.nodes.sensor.layout.tally import Tally
 from sparseskin.nodes.sensor.layout.times import CLOCK_UNIT, ISO, clock_ns, iso_ns
@@ -31,6 +22,7 @@ from .head import read_head
 from .sample import GRID, LONG, is_number
 from .text import pieces
 
+HEXADECIMAL = re.compile(r"0[xX][0-9a-fA-F]+|(?=[0-9A-F]*[A-F])(?=[A-F]*[0-9])[0-9A-F]{2,}|FF+")
 EXACT = float(1 << 53)
 """Largest whole number up to which float64 has all."""
 
@@ -65,6 +57,7 @@ class TableRecording(Recording):
             time_unit=head.time_unit,
             time_name=time_name,
             asks_unit=True,
+            rate_hz=head.rate_hz,
             notes=head.notes,
         )
 
@@ -168,7 +161,8 @@ class TableRecording(Recording):
         if self._head.header and text == self._head.header:
             return "repeated headers"
         begins_row = stripped[0].isdigit() or stripped[0] in '+-."[('
-        if self._head.kind == GRID and not begins_row:
+        # A line may be a time of day.
+        if self._head.kind == GRID and (not begins_row or ":" in stripped):
             cells = self._head.dialect.cells(text)
             is_row = len(cells) == self._head.width
             is_row = is_row and (is_number(cells[0]) or is_missing(cells[0]))
@@ -237,7 +231,8 @@ class TableRecording(Recording):
         """Times of lines; whole numbers beyond the precision of float64 are read from the text."""
         head = self._head
         assert head.time is not None
-        if head.time in head.numeric and head.nanoseconds is None:
+        is_number_of_unit = head.time in head.numeric and head.time_unit not in (ISO, CLOCK_UNIT)
+        if is_number_of_unit and head.nanoseconds is None:
             times = parsed[:, head.time]
             if np.isfinite(times).all() and np.abs(times).max(initial=0) < EXACT:
                 return list(times.tolist())
@@ -277,6 +272,10 @@ class TableRecording(Recording):
         if is_missing(cell):
             raise SourceError(f"{place}: {shown(cell)} is not a number; {NAN_HINT}")
         fault = f"{place}: {shown(cell)} is not a number"
+        if HEXADECIMAL.fullmatch(cell):
+            # The numbers of other lines would be read as decimal ones.
+            ways = f"write decimal numbers, or state missing={cell} if it stands for no reading"
+            raise SourceError(f"{fault}, but may be a hexadecimal one; {ways}")
         raise UnstatedError(fault, {"missing": self._missing_with(cell)})
 
     def _missing_with(self, cell: str) -> str:

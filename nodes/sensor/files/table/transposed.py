@@ -10,13 +10,7 @@ import numpy as np
 
 from sparseskin.nodes.errors import SourceError
 from sparseskin.nodes.numerics.arrays import Doubles
-from sparseskin.nodes.sensor.files.recording import (
-    Block,
-    File,
-    Head,
-    Recording,
-    frames_per_block,
-)
+from sparseskin.nodes.sensor.files.recording import Block, File, Head, Recording, frames_per_block
 from sparseskin.nodes.sensor.layout.arrangement import Axis
 from sparseskin.nodes.sensor.layout.names import matching
 from sparseskin.nodes.sensor.layout.tally import Tally

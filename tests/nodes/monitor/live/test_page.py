@@ -17,7 +17,7 @@ from feeds import Graph, graph_state, served
 from sparseskin.messages import Reason
 from sparseskin.nodes.recorder.bag.reader import BagReader
 from sparseskin.nodes.sensor.calibration.description import SkinDescription
-from sparseskin.nodes.sensor.calibration.skin_file import save_skin
+from sparseskin.nodes.sensor.skin_file import save_skin
 
 pytestmark = [
     pytest.mark.slow,

@@ -16,8 +16,8 @@ from sparseskin.nodes.node import Context, Tick
 from sparseskin.nodes.recorder.bag.frames import last_states
 from sparseskin.nodes.recorder.bag.reader import BagReader
 from sparseskin.nodes.sensor.calibration.description import Response, SkinDescription, of_messages
-from sparseskin.nodes.sensor.calibration.skin_file import load_skin, save_skin
 from sparseskin.nodes.sensor.node import Sensor
+from sparseskin.nodes.sensor.skin_file import load_skin, save_skin
 
 SHAPE = (3, 4)
 BASELINE = 100.0 + np.arange(12.0).reshape(SHAPE)

@@ -87,6 +87,15 @@ def test_a_time_of_day_is_read(hours, minutes, seconds, micros):
         ("__time", ""),
         ("elapsed_seconds", "s"),
         ("header.stamp", ""),
+        ("time_milliseconds", "ms"),
+        ("time_microseconds", "us"),
+        ("time_nanoseconds", "ns"),
+        ("Time (msec)", "ms"),
+        ("t_usecs", "us"),
+        ("time_min", "min"),
+        ("Time [h]", "h"),
+        ("time_days", "d"),
+        ("Time (hundredths of a second)", ""),
     ],
 )
 def test_names_of_times_state_their_unit(name, unit):

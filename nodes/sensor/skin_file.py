@@ -21,11 +21,9 @@ from sparseskin.nodes.errors import SourceError
 from sparseskin.nodes.files import whole_file
 from sparseskin.nodes.lookup import did_you_mean
 from sparseskin.nodes.numerics.array_files import ArrayFileError, read_npz
-from sparseskin.nodes.sensor.files.recording import parse_mask, reading
-from sparseskin.nodes.sensor.points import point_skins
 from sparseskin.nodes.toml import parse_toml
 
-from .description import (
+from .calibration.description import (
     MAX_KNOTS,
     MAX_NAME,
     Response,
@@ -33,6 +31,8 @@ from .description import (
     SkinFileError,
     points_on_grid,
 )
+from .layout.checks import parse_mask, reading
+from .points import point_skins
 
 MAX_FILE_CHARS = 1 << 18
 """Longest skin.toml, chosen: eight thousand numbers, as a program writes them."""

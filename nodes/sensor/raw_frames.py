@@ -11,11 +11,11 @@ import numpy as np
 import numpy.typing as npt
 
 from sparseskin.nodes.errors import SourceError, SparseskinError
-from sparseskin.nodes.sensor.layout.layout import EMPTY, Layout
-from sparseskin.nodes.sensor.source import Skin, Source
-from sparseskin.nodes.sensor.sources import open_source
 
-from .fit import CalibrationError
+from .calibration.fit import CalibrationError
+from .layout.layout import EMPTY, Layout
+from .source import Skin, Source
+from .sources import open_source
 
 MAX_READINGS = 1 << 27
 """Most readings that are kept of one step, chosen: 512 MiB."""

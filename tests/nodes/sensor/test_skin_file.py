@@ -13,7 +13,7 @@ from hypothesis.extra.numpy import arrays
 
 from sparseskin.nodes.files import OutputError
 from sparseskin.nodes.sensor.calibration.description import Response, SkinDescription, SkinFileError
-from sparseskin.nodes.sensor.calibration.skin_file import (
+from sparseskin.nodes.sensor.skin_file import (
     MAX_FILE_CHARS,
     MAX_INLINE,
     load_skin,
@@ -230,7 +230,7 @@ def test_a_response_curve_inverts_and_rises(knots, readings):
 
 
 def test_the_file_of_the_documentation_is_read(tmp_path):
-    page = (Path(__file__).parents[4] / "docs/howto/calibration.md").read_text(encoding="utf-8")
+    page = (Path(__file__).parents[3] / "docs/howto/calibration.md").read_text(encoding="utf-8")
     text = page.partition("```text\n")[2].partition("```")[0]
     row = f'    "{"1" * 32}",\n'
     text = text.replace("    # ... 16 of them\n", 15 * row)

@@ -1,0 +1,144 @@
+"""What a table states of itself beside its numbers: skins, rates, times, lines that are taxels."""
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from sparseskin.nodes.errors import SourceError
+from sparseskin.nodes.sensor.files.file_source import open_file
+from sparseskin.nodes.sensor.layout.layout import Layout
+
+FORGIVING = settings(
+    suppress_health_check=[HealthCheck.function_scoped_fixture], deadline=None, max_examples=30
+)
+RATE_LINES = ["Rate: {} Hz", "# fs = {}", "sample_rate,{}", "Frame rate\t{}"]
+RATE_LINES += ["Sampling frequency (Hz): {}"]
+SIDES = st.tuples(st.integers(1, 3), st.integers(2, 4))
+
+
+def read(folder, text, shape, **stated):
+    (folder / "log.csv").write_bytes(text.encode())
+    n_rows, n_cols = shape
+    return open_file(
+        folder / "log.csv", Layout(unit="counts", n_rows=n_rows, n_cols=n_cols, **stated)
+    )
+
+
+def readings_of(n_frames, shape, seed):
+    """Frames of whole numbers, (n_frames, n_rows, n_cols), that neither rise nor count."""
+    frames = np.random.default_rng(seed).integers(1, 900, (n_frames, *shape))
+    frames[-1] = frames[0] - 1
+    return frames
+
+
+def lines_of(frames):
+    return [",".join(map(str, frame.ravel())) for frame in frames]
+
+
+@FORGIVING
+@given(
+    shape=SIDES,
+    n_skins=st.integers(2, 4),
+    kind=st.sampled_from(["no names", "texts", "port", "id"]),
+    seed=st.integers(0, 1000),
+)
+def test_skins_that_take_turns_are_never_one(tmp_path, shape, n_skins, kind, seed):
+    frames = readings_of(4 * n_skins, shape, seed)
+    skins = [str(k) if kind == "id" else f"COM{k}" for k in range(n_skins)]
+    lines = [f"{skins[k % n_skins]},{line}" for k, line in enumerate(lines_of(frames))]
+    if kind != "no names":
+        names = ",".join(f"s{k}" for k in range(frames[0].size))
+        lines.insert(0, f"{kind},{names}")
+    text = "\n".join(lines) + "\n"
+    with pytest.raises(SourceError, match="state frame_id"):
+        read(tmp_path, text, shape)
+    for k, skin in enumerate(skins):
+        source = read(tmp_path, text, shape, frame_id=skin)
+        np.testing.assert_array_equal(source.frames, frames[k::n_skins])
+
+
+@FORGIVING
+@given(shape=SIDES, seed=st.integers(0, 1000))
+def test_lines_that_are_named_as_taxels_are_asked_for(tmp_path, shape, seed):
+    n_taxels = shape[0] * shape[1]
+    frames = readings_of(n_taxels, shape, seed)
+    of_taxels = frames.reshape(-1, n_taxels).T
+    lines = [f"s{k},{','.join(map(str, taxel))}" for k, taxel in enumerate(of_taxels)]
+    text = "\n".join(lines) + "\n"
+    with pytest.raises(SourceError, match=r"add axes=taxels,frames$"):
+        read(tmp_path, text, shape)
+    source = read(tmp_path, text, shape, axes="taxels,frames")
+    np.testing.assert_array_equal(source.frames, frames)
+
+
+@FORGIVING
+@given(
+    rate_hz=st.integers(1, 500),
+    line=st.sampled_from(RATE_LINES),
+)
+def test_a_rate_before_the_table_is_that_of_its_frames(tmp_path, rate_hz, line):
+    frames = readings_of(5, (1, 3), rate_hz)
+    text = "\n".join([line.format(rate_hz), "s0,s1,s2", *lines_of(frames)])
+    source = read(tmp_path, text + "\n", (1, 3))
+    assert source.rate_hz == rate_hz
+    np.testing.assert_allclose(source.stamp_ns / 1e9, np.arange(5) / rate_hz, atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("line", "rate_hz"),
+    [
+        ("SECONDS_PER_FRAME 0.02", 50),
+        ("Sample interval: 4 ms", 250),
+        ("Baud rate: 115200", None),
+        ("Heart rate: 72", None),
+    ],
+)
+def test_lines_before_the_table_are_no_rates_of_others(tmp_path, line, rate_hz):
+    text = "\n".join([line, "s0,s1,s2", *lines_of(readings_of(5, (1, 3), 0))])
+    assert read(tmp_path, text + "\n", (1, 3)).rate_hz == rate_hz
+
+
+@pytest.mark.parametrize("title", ["# t={}", "Frame {} (20 ms)", "Time: 0.0{}", "10:15:02.{}"])
+def test_times_between_the_frames_of_a_grid_are_not_lost(tmp_path, title):
+    frames = readings_of(3, (2, 3), 0)
+    parts = ["\n".join([title.format(k), *lines_of(rows)]) for k, rows in enumerate(frames)]
+    text = "\n".join(parts) + "\n"
+    with pytest.raises(SourceError, match="states a time, which is not read; state rate_hz"):
+        read(tmp_path, text, (2, 3))
+    source = read(tmp_path, text, (2, 3), rate_hz=50)
+    np.testing.assert_array_equal(source.frames, frames)
+
+
+@FORGIVING
+@given(shape=st.tuples(st.integers(2, 3), st.integers(2, 4)), first=st.sampled_from([0, 1]))
+def test_names_that_count_columns_are_no_frame(tmp_path, shape, first):
+    frames = readings_of(5, shape, first)
+    names = ",".join(map(str, range(first, first + frames[0].size)))
+    text = "\n".join([names, *lines_of(frames)]) + "\n"
+    np.testing.assert_array_equal(read(tmp_path, text, shape).frames, frames)
+    # As pandas writes a table, with a column that counts its lines.
+    numbered = [f"{k},{line}" for k, line in enumerate(lines_of(frames))]
+    text = "\n".join([f",{names}", *numbered]) + "\n"
+    np.testing.assert_array_equal(read(tmp_path, text, shape).frames, frames)
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        *[("fs", 50), ("Fs", 50), ("sampleRate", 50), ("FPS", 50.0), ("frame_rate_hz", 50)],
+        *[("dt", 0.02), ("Ts", 0.02), ("sample_interval_ms", 20), ("frame_period_s", 0.02)],
+    ],
+)
+def test_a_number_beside_an_array_states_its_rate(tmp_path, name, value):
+    path = tmp_path / "a.npz"
+    np.savez(path, data=np.ones((5, 4, 3)), **{name: value})
+    assert open_file(path).rate_hz == pytest.approx(50)
+
+
+def test_hexadecimal_numbers_are_not_read_as_decimal_ones(tmp_path):
+    text = "04 11 09 00\n07 1F 22 10\n00 10 30 40\n"
+    with pytest.raises(SourceError, match="line 2, column 2: '1F' is not a number, but may be"):
+        read(tmp_path, text, (2, 2))
+    source = read(tmp_path, text, (2, 2), missing="1F")
+    assert np.isnan(source.frames[1, 0, 1])
