@@ -57,6 +57,16 @@ def test_a_press_that_comes_or_goes_is_no_offset(row, col, side, force, has_come
     assert watch.look(PHI, y if has_come else -y) == 0.0
 
 
+@given(data=st.data(), offset=st.floats(0.05, 30.0), sign=st.sampled_from([-1, 1]))
+def test_a_change_of_some_blocks_alone_is_no_offset(data, offset, sign):
+    watch = OffsetWatch(LEAST_SD)
+    rows = watch.rows_of(PHI)
+    blocks = range(len(rows.starts))
+    changed = data.draw(st.sets(st.sampled_from(blocks), min_size=1, max_size=len(blocks) - 1))
+    change = np.where(np.isin(rows.block, [*changed]), np.float32(sign * offset), 0)
+    assert watch.look(PHI, innovation(0) + change) == 0.0
+
+
 @pytest.mark.parametrize(("side", "is_told_apart"), [(16, False), (32, True), (40, True)])
 @pytest.mark.parametrize("ratio", [2, 3, 8])
 def test_an_offset_is_told_from_forces_on_skins_of_four_blocks(side, ratio, is_told_apart):
