@@ -32,6 +32,7 @@ import subprocess
 import sys
 import tempfile
 import tomllib
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import NamedTuple
@@ -112,10 +113,18 @@ def main() -> int:
         parser.error(f"{unknown[0]}: no such area (allowed: {', '.join(AREAS)})")
     explained = tomllib.loads(EXPLAINED.read_text())
     scores: list[Score] = []
-    for name in arguments.areas or AREAS:
-        score = _score(name, arguments.size, arguments.draw, explained)
-        print(score, *score.lines, sep="\n", flush=True)
-        scores.append(score)
+    names = arguments.areas or list(AREAS)
+    # Areas of the same tests share what these reach.
+    for paths in dict.fromkeys(AREAS[name].tests for name in names):
+        members = [name for name in names if AREAS[name].tests == paths]
+        with tempfile.TemporaryDirectory(prefix="mutants-") as folder:
+            tree = Path(folder)
+            _copy(tree)
+            tests = _recorded(tree, members)
+            for name in members:
+                score = _score(tree, name, tests, arguments.size, arguments.draw, explained)
+                print(score, *score.lines, sep="\n", flush=True)
+                scores.append(score)
     low = [score for score in scores if 100 * score.n_caught < WANTED_PERCENT * score.n_sample]
     for score in low:
         print(f"fewer than {WANTED_PERCENT} %: {score.area}", file=sys.stderr)
@@ -134,41 +143,46 @@ def interval(n_hits: int, n: int) -> tuple[float, float]:
     return centre - half, centre + half
 
 
-def _score(name: str, size: int, draw: int, explained: Explanations) -> Score:
-    """Test a sample of the mutants of an area."""
-    area = AREAS[name]
-    modules = [m for source in area.sources for m in _modules(source)]
-    codes = {module: (ROOT / module).read_text() for module in modules}
-    with tempfile.TemporaryDirectory(prefix="mutants-") as folder:
-        tree = Path(folder)
-        _copy(tree)
-        for module, code in codes.items():
-            (tree / module).write_text(with_marks(code, module))
-        paths = [str(p.relative_to(ROOT)) for path in area.tests for p in sorted(ROOT.glob(path))]
-        tests = record(tree, paths)
-        for module, code in codes.items():
-            (tree / module).write_text(code)
+def _recorded(tree: Path, names: Sequence[str]) -> list[Test]:
+    """Run the tests of areas in a copy whose modules note what they run, and restore these."""
+    modules = [module for name in names for module in _modules(name)]
+    for module in modules:
+        (tree / module).write_text(with_marks((ROOT / module).read_text(), module))
+    patterns = AREAS[names[0]].tests
+    tests = record(tree, [str(p.relative_to(ROOT)) for t in patterns for p in sorted(ROOT.glob(t))])
+    for module in modules:
+        shutil.copy2(ROOT / module, tree / module)
+    return tests
 
-        mutants = [mutant for module in modules for mutant in mutants_of(ROOT, module)]
-        mutants.sort(key=lambda mutant: _lot(mutant, draw))
-        score = Score(name, len(mutants))
-        for number, mutant in enumerate(mutants[:size], 1):
-            path = tree / mutant.module
-            path.write_text(mutant.code)
-            # Another second for each, by which Python knows that its bytecode is not current.
-            os.utime(path, (number, number))
-            chosen = tests_of(mutant, codes[mutant.module], tests)
-            failed = first_failure(tree, chosen) if chosen else ""
-            _count(score, mutant, failed, explained, len(chosen))
-            path.write_text(codes[mutant.module])
+
+def _score(
+    tree: Path, name: str, tests: list[Test], size: int, draw: int, explained: Explanations
+) -> Score:
+    """Test a sample of the mutants of an area."""
+    codes = {module: (ROOT / module).read_text() for module in _modules(name)}
+    mutants = [mutant for module in codes for mutant in mutants_of(ROOT, module)]
+    mutants.sort(key=lambda mutant: _lot(mutant, draw))
+    score = Score(name, len(mutants))
+    for number, mutant in enumerate(mutants[:size], 1):
+        path = tree / mutant.module
+        path.write_text(mutant.code)
+        # Another second for each, by which Python knows that its bytecode is not current.
+        os.utime(path, (number, number))
+        chosen = tests_of(mutant, codes[mutant.module], tests)
+        failed = first_failure(tree, chosen) if chosen else ""
+        _count(score, mutant, failed, explained, len(chosen))
+        shutil.copy2(ROOT / mutant.module, path)
     return score
 
 
-def _modules(source: str) -> list[str]:
-    path = ROOT / source
-    return (
-        [source] if path.is_file() else sorted(str(p.relative_to(ROOT)) for p in path.rglob("*.py"))
-    )
+def _modules(area: str) -> list[str]:
+    """Modules of an area, as paths within the repository."""
+    modules: list[str] = []
+    for source in AREAS[area].sources:
+        path = ROOT / source
+        files = [path] if path.is_file() else sorted(path.rglob("*.py"))
+        modules += [str(file.relative_to(ROOT)) for file in files]
+    return modules
 
 
 def _lot(mutant: Mutant, draw: int) -> str:
