@@ -14,6 +14,27 @@ from sparseskin.launch.run.waiting import late_at_end, waits_for
 RESTART = 'restart = "on-failure"\nrestart_delay_s = 2.0\nmax_restarts = 2\nhang_s = 10.0'
 
 
+#: Wording of the launcher, in one place; the tests state which of these is logged, and when.
+SAYS = {
+    "died": "[launch] {} ended too early: {}",
+    "again": "[launch] {} is started again (restart {})",
+    "given up": " ({} restarts within {} s: given up)",
+    "silent": "[launch] {} {} been silent for {:g} s: SIGKILL",
+    "stubborn": "[launch] {} does not end: {}",
+    "error": "[{}] error: {}",
+    "of process": " (of the same process: {})",
+    "drain": "[launch] not drained after 5 s: {}",
+    "late": "{} (waits for {})",
+    "last": "{} (has not ended its stream)",
+    "imports": "{} has not started: it imports, compiles, or opens its device",
+    "no answer": "{} has not answered yet",
+}
+
+
+def line(kind, *words):
+    return SAYS[kind].format(*words)
+
+
 class Played(Stage):
     """A fleet of played nodes."""
 
@@ -126,7 +147,7 @@ def test_what_is_no_event_is_logged(stage):
     played.run()
     played._ends["sensor"]._channel_of_node.sendall(b"{\n[1]\n")
     played.fleet.serve()
-    assert [line for line in played.lines if "garbage" in line] == played.lines
+    assert all("garbage" in garbage for garbage in played.lines)
     assert len(played.lines) == 2
 
 
@@ -140,7 +161,7 @@ def test_a_node_that_dies_ends_the_graph_that_needs_it(stage, required, exit_cod
     cls = type("Observer", (played.node(name).spec.cls,), {"required": required})
     played.node(name).spec = replace(played.node(name).spec, cls=cls)
     played.die(name)
-    assert played.lines == [f"[launch] {name} ended too early: exit code 3"]
+    assert played.lines == [line("died", name, "exit code 3")]
     assert played.fleet.exit_code == exit_code
     assert played.fleet.late_code == late_code
     assert played.node(name).failed
@@ -153,7 +174,7 @@ def test_a_node_that_was_killed_is_named_with_the_signal(stage):
     played = stage()
     played.run()
     played.die("sensor", -signal.SIGSEGV)
-    assert played.lines == ["[launch] sensor ended too early: killed by SIGSEGV"]
+    assert played.lines == [line("died", "sensor", "killed by SIGSEGV")]
 
 
 def test_the_exit_code_is_that_of_the_first_failure(stage):
@@ -194,14 +215,14 @@ def test_a_node_that_dies_is_started_again_where_it_was_and_as_it_was(stage):
     played.fleet.serve()
     played.die("sensor")
     assert played.fleet.condition(played.node("sensor")) == "restarting"
-    assert played.lines == ["[launch] sensor ended too early: exit code 3"]
+    assert played.lines == [line("died", "sensor", "exit code 3")]
     played.now_s += 1.9
     played.fleet.serve()
     assert len(played.started) == 4
     played.now_s += 0.2
     played.fleet.serve()
     assert played.started[4:] == [["sensor"]]
-    assert played.lines[1:] == ["[launch] sensor is started again (restart 1)"]
+    assert played.lines[1:] == [line("again", "sensor", 1)]
     (config,) = played.received("sensor")
     assert config["late"] is True
     assert config["endpoint"] == "ipc:///sensor"
@@ -223,7 +244,7 @@ def test_a_node_that_dies_too_often_ends_the_graph(stage):
         played.now_s += wait_s
         played.fleet.serve()
     played.die("compressor")
-    assert played.lines[-1].endswith("exit code 3 (2 restarts within 60 s: given up)")
+    assert played.lines[-1].endswith("exit code 3" + line("given up", 2, 60))
     assert played.fleet.exit_code == EXIT_FAILED
     assert played.fleet.restarts["compressor"].total == 2
 
@@ -231,9 +252,9 @@ def test_a_node_that_dies_too_often_ends_the_graph(stage):
 def test_settings_that_are_refused_are_refused_again(stage):
     played = stage(RESTART)
     played.run()
-    played.says("compressor", "error", code=EXIT_USAGE, text="ratio: 0 is not allowed")
+    played.says("compressor", "error", code=EXIT_USAGE, text="ratio")
     played.fleet.serve()
-    assert played.lines == ["[compressor] error: ratio: 0 is not allowed"]
+    assert played.lines == [line("error", "compressor", "ratio")]
     assert played.fleet.exit_code == EXIT_USAGE
     assert played.fleet.restarts["compressor"].due_s is None
 
@@ -241,16 +262,18 @@ def test_settings_that_are_refused_are_refused_again(stage):
 def test_nodes_of_one_process_fail_together(stage):
     played = stage('process = "all"')
     played.run()
-    played.says("sensor", "error", code=EXIT_FAILED, text="the driver hung up")
+    played.says("sensor", "error", code=EXIT_FAILED, text="driver")
     played.fleet.serve()
     others = ", ".join(NAMES[1:])
-    (line,) = played.lines
-    assert line == f"[sensor] error: the driver hung up (of the same process: {others})"
+    assert played.lines == [line("error", "sensor", "driver") + line("of process", others)]
     assert all(node.failed for node in played.fleet)
 
 
-@pytest.mark.parametrize(("graph", "have"), [("", "sensor has"), ('process = "all"', "have")])
-def test_a_node_that_is_silent_for_too_long_is_killed(stage, graph, have):
+@pytest.mark.parametrize(
+    ("graph", "names", "have"),
+    [("", "sensor", "has"), ('process = "all"', ", ".join(NAMES), "have")],
+)
+def test_a_node_that_is_silent_for_too_long_is_killed(stage, graph, names, have):
     played = stage(f"{RESTART}\n{graph}")
     played.run()
     played.now_s += 9.9
@@ -263,8 +286,8 @@ def test_a_node_that_is_silent_for_too_long_is_killed(stage, graph, have):
     played.now_s += 0.2
     played.fleet.serve()
     assert played.node("sensor").process.signals == [signal.SIGKILL]
-    assert f"{have} been silent for 10 s: SIGKILL" in played.lines[0]
-    assert len([line for line in played.lines if "silent" in line]) == 1
+    assert played.lines[0] == line("silent", names, have, 10)
+    assert not any("silent" in later for later in played.lines[1:])
 
 
 def test_a_node_that_starts_may_be_silent_for_long(stage):
@@ -278,7 +301,7 @@ def test_a_node_that_starts_may_be_silent_for_long(stage):
     assert played.lines == []
     played.now_s += 0.2
     played.fleet.serve()
-    assert played.lines == [f"[launch] sensor has been silent for {START_S:g} s: SIGKILL"]
+    assert played.lines == [line("silent", "sensor", "has", START_S)]
 
 
 def test_without_restarts_nobody_is_killed_for_being_silent(stage):
@@ -302,9 +325,9 @@ def test_a_graph_that_is_ended_asks_then_signals_then_kills(stage):
     assert polite.process.signals == [signal.SIGTERM]
     assert deaf.process.signals == [signal.SIGTERM, signal.SIGKILL]
     assert played.lines == [
-        "[launch] sensor does not end: SIGTERM",
-        "[launch] compressor does not end: SIGTERM",
-        "[launch] sensor does not end: SIGKILL",
+        line("stubborn", "sensor", "SIGTERM"),
+        line("stubborn", "compressor", "SIGTERM"),
+        line("stubborn", "sensor", "SIGKILL"),
     ]
     assert played.commands("sensor") == ["stop"]
     assert played.now_s - began_s >= 2 * GRACE_S
@@ -357,19 +380,19 @@ def test_at_the_end_each_late_node_is_named_with_those_that_it_waits_for(stage):
     played.run()
     played.node("sensor").ended = True
     assert late_at_end(played.fleet, played.launch.links) == [
-        "compressor (has not ended its stream)",
-        "reconstructor (waits for compressor)",
-        "monitor (waits for compressor, reconstructor)",
+        line("last", "compressor"),
+        line("late", "reconstructor", "compressor"),
+        line("late", "monitor", "compressor, reconstructor"),
     ]
 
 
 def test_nothing_is_waited_for_once_a_node_runs(stage):
     played = stage()
     played.fleet.spawn()
-    line = waits_for(played.node("compressor"), played.launch)
-    assert line == "compressor has not started: it imports, compiles, or opens its device"
+    compressor = played.node("compressor")
+    assert waits_for(compressor, played.launch) == line("imports", "compressor")
     played.node("compressor").endpoint = "ipc:///x"
-    assert waits_for(played.node("compressor"), played.launch) == "compressor has not answered yet"
+    assert waits_for(compressor, played.launch) == line("no answer", "compressor")
     played.node("compressor").ready = True
     assert waits_for(played.node("compressor"), played.launch) == ""
 
@@ -447,8 +470,8 @@ def test_a_graph_that_drains_stops_its_sources_and_names_who_is_late(launcher):
     launcher.launcher._drain()
     for node in launcher.fleet:
         assert node.process.signals == [signal.SIGINT]
-    (line,) = [line for line in launcher.screen.lines if "drained" in line]
-    assert line.startswith("[launch] not drained after 5 s: sensor (has not ended its stream)")
+    (drained,) = launcher.screen.lines
+    assert drained.startswith(line("drain", line("last", "sensor")))
 
 
 def test_one_who_interrupts_a_drain_is_told_nothing_more(launcher):
