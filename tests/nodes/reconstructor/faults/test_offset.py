@@ -36,6 +36,18 @@ def test_an_offset_is_known_while_it_lasts(offset, sign):
     assert watch.look(PHI, innovation(20)) == 0.0
 
 
+@given(
+    before=st.floats(0.05, 30.0),
+    after=st.floats(0.05, 30.0),
+    signs=st.tuples(st.sampled_from([-1, 1]), st.sampled_from([-1, 1])),
+)
+def test_an_offset_that_changes_is_followed_at_once(before, after, signs):
+    watch = OffsetWatch(LEAST_SD)
+    watch.look(PHI, innovation(0) + np.float32(signs[0] * before))
+    value = watch.look(PHI, innovation(1) + np.float32(signs[1] * after))
+    assert value == pytest.approx(signs[1] * after, abs=0.01)
+
+
 def test_noise_is_no_offset():
     watch = OffsetWatch(LEAST_SD)
     values = [watch.look(PHI, innovation(seed)) for seed in range(1000)]

@@ -157,6 +157,8 @@ def test_frames_that_hold_nothing_are_the_last_one_and_logged_once(reason):
         held = np.full_like(held, 0.3)
     verdicts = [watched.frame(frames[40], lambda _: held) for _ in range(12)]
     assert [verdict.reason for verdict in verdicts[5:]] == [reason] * 7
+    assert last.is_solved
+    assert not verdicts[-1].is_solved
     for verdict in verdicts[6:]:
         np.testing.assert_array_equal(verdict.forces, verdicts[5].forces)
     assert watched.lines == [f"{reason.phrase}: not trusted"]
