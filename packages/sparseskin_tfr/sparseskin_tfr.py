@@ -21,6 +21,7 @@ from sparseskin.nodes.sensor.files.recording import (
 )
 
 MAX_SIDE = 4096
+"""Most rows or columns, chosen: a number of the file must not make a frame of any size."""
 
 
 def is_tfr(begin: bytes) -> bool:
@@ -47,6 +48,7 @@ class TfrRecording(WholeRecording):
         check_unit(f"{name}, line 1", head.get("unit"))
         check_number(f"{name}, line 1", "rate_hz", head.get("rate_hz"), 1e6)
 
+        # What is left must be whole frames.
         data = self._file.file.read()
         n_bytes = 4 * shape[0] * shape[1]
         if not data or len(data) % n_bytes:

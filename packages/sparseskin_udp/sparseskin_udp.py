@@ -23,7 +23,7 @@ class UdpBridge(Bridge[UdpSettings]):
     """Sends the largest force of each map, and where it is; no receiver is needed."""
 
     HELP = "send the largest force of each frame as a datagram of JSON"
-    EXTRAS = ()
+    EXTRAS = ()  # no contacts: `send` is called with maps alone
     Settings = UdpSettings
 
     def __init__(self, settings, context):
@@ -35,6 +35,7 @@ class UdpBridge(Bridge[UdpSettings]):
 
     def send(self, message, skin):
         assert not isinstance(message, Contacts)
+        # Of a batch each patch comes by itself.
         (forces,) = message.forces
         row, col = np.unravel_index(forces.argmax(), forces.shape)
         fields = {
