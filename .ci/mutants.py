@@ -253,6 +253,10 @@ def tests_of(mutant: Mutant, code: str, tests: list[Test]) -> list[Test]:
     else:
         marks = {f"{mutant.module}:{line}"}
     reaching = [test for test in tests if test.marks & marks]
+    if line is None:
+        # A test of a default may run none of the module's functions.
+        named = [test for test in tests if _is_named(test.name, mutant.module)]
+        reaching += [test for test in named if test not in reaching]
     folder = str(Path("tests") / Path(mutant.module).parent)
     reaching.sort(
         key=lambda test: (

@@ -84,6 +84,7 @@ def test_a_source_is_not_exhausted_and_its_ticks_find_frames_until_it_says_other
     assert source.exhausted is False
     assert source.acquired is True
     assert source.min_readers == 0
+    assert source.window == 32
 
 
 def test_a_pause_holds_the_source_until_it_is_resumed():
@@ -154,6 +155,13 @@ def test_each_new_rate_that_is_not_reached_is_logged():
 
 def test_a_source_that_has_not_begun_has_no_rate_to_compare():
     bench = Bench()
-    bench.source.begin(0)
+    bench.source = Paced(Settings(), bench.source.context)
     bench.run(300, 60.0)
     assert bench.lines == []
+
+
+@pytest.mark.parametrize("rate_hz", [1.0, 2.0])
+def test_a_low_rate_that_is_not_reached_is_logged_too(rate_hz):
+    bench = Bench(rate_hz)
+    bench.run(20, rate_hz / 2)
+    assert bench.lines == [f"{rate_hz:g} Hz asked, {rate_hz / 2:.1f} Hz reached"]
