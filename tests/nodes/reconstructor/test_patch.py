@@ -11,6 +11,7 @@ from pressed import noisy, sliding_disc
 from sparseskin.messages import PhiState, Reason
 from sparseskin.nodes.compressor.phi.base import make_phi
 from sparseskin.nodes.compressor.phi.rotation import row_subsets
+from sparseskin.nodes.reconstructor import patch as patches
 from sparseskin.nodes.reconstructor.patch import Patch
 from sparseskin.nodes.reconstructor.settings import ReconstructorSettings
 from sparseskin.nodes.sensor.noise import NoiseModel
@@ -174,6 +175,24 @@ def test_iterations_that_are_stated_are_those_of_a_frame():
 def test_frames_that_wait_for_each_other_have_no_budget(changes):
     bench = Bench(solver="fista", basis="haar", **changes)
     assert bench.stated["frame_ms"] == 0.0
+
+
+def test_a_budget_bounds_the_steps_and_its_time_is_stated(monkeypatch):
+    monkeypatch.setattr(patches, "steps_within", lambda *_: (7, 0.002))
+    bench = Bench(solver="fista", basis="haar", iterations=30, budget_ms=2.5)
+    assert bench.stated["frame_ms"] == 2.0
+    assert bench.stated["iterations"] == 7
+    assert bench.frame(FRAMES[5]).iterations == 7
+
+
+def test_measurements_that_lack_the_stated_noise_are_quiet():
+    bench = Bench()
+    untouched = noisy(np.zeros((80, *SHAPE), dtype=np.float32))
+    for readings in untouched[:50]:
+        assert bench.frame(readings).reason == ""
+    for readings in untouched[50:]:
+        solved = bench.frame(readings / 10)
+    assert solved.reason == Reason.QUIET
 
 
 def test_a_warning_is_logged_once():
