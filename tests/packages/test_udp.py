@@ -12,6 +12,8 @@ from sparseskin.nodes.clock import ManualClock
 from sparseskin.nodes.node import Context
 from sparseskin.nodes.registry import node_class
 
+pytest.importorskip("sparseskin.plugins.bridges", reason="the core alone has no bridges")
+
 
 @pytest.fixture
 def receiver():
