@@ -72,11 +72,11 @@ coverage: .venv/installed-dev
 	$(ONE_THREAD) $(BIN)/python -m pytest -q $(PARALLEL) \
 	    --cov=messages --cov=nodes --cov=launch --cov=studies --cov=plugins --cov=sparseskin --cov-report=term:skip-covered
 
-# Mutation testing: a sample of mutants of each core module, and the share that tests catch (an
-# hour); some modules: make mutants MODULES="nodes/clock.py nodes/node_host.py".
+# Mutation testing: a sample of mutants of each area of the core, and the share that tests catch
+# (three hours); some areas: make mutants AREAS="node network".
 mutants: .venv/installed-dev
 	$(BIN)/pip install --quiet --disable-pip-version-check -e '.[mutants]'
-	$(ONE_THREAD) $(BIN)/python .ci/mutants.py $(MODULES)
+	$(ONE_THREAD) $(BIN)/python .ci/mutants.py $(AREAS)
 
 # The tests of solvers and operators under each kernel of OpenBLAS that this host can run.
 test-kernels: .venv/installed-dev

@@ -1,224 +1,284 @@
-"""Mutation testing of the core: a sample of mutants of each module, and the share that is caught.
+"""Mutation testing of the core: a sample of mutants of each area, and the share that is caught.
 
-    make mutants                          # 8 mutants a module
-    .venv/bin/python .ci/mutants.py 20 nodes/compressor/phi/sbhe.py
+    make mutants                                         # 40 mutants an area: three hours
+    .venv/bin/python .ci/mutants.py node network --size 20
+    .venv/bin/python .ci/mutants.py --draw 2             # another sample
 
-mutmut changes one expression at a time and runs the quick tests that reach it, up to the first that
-fails: those in the test file of the module's name, or in all of its folder where there is none
-(`TESTS_OF` has the exceptions). A mutant that runs five times as long as its tests is caught. Texts
-are left out: a changed letter of a message is no fault.
+A mutant is a module with one expression changed, as mutmut changes it: an operator, a number, a
+condition, an argument left out. Two kinds are left out: texts, since a changed letter of a message
+is no fault, and None in place of a value, which mypy finds.
 
-The sample is the same as long as the code is. Survivors that need no test are in mutants.toml, each
-with the reason; they are printed, and counted by themselves.
+For each mutant those quick tests of its area run that reach its statement, in any of their
+processes, up to the first that fails. Those of the module's name run first, then those of its
+folder, short ones before long ones, and as many as take `MOST_S`. The golden hashes are not among
+them: a hash says that something has changed, and not what is wrong. A mutant under which the tests
+take five times as long is caught.
+
+A sample is the same as long as the code is, and changes little with it. The interval is that of
+Wilson for a share of which only a sample is known. Tests that were written for the survivors of one
+draw make its share look better than that of the area: another draw shows the share. Survivors that
+need no test are in mutants.toml, each with the reason. Those whose reason begins with "equivalent"
+change nothing that the program does, and are no part of the share.
 """
 
 from __future__ import annotations
 
-import contextlib
-import json
+import argparse
+import hashlib
+import math
 import os
-import random
-import re
 import shutil
 import subprocess
 import sys
 import tempfile
 import tomllib
-from collections import Counter
-from difflib import ndiff
-from itertools import groupby
+from collections.abc import Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
+from typing import NamedTuple
 
-from mutmut.configuration import reset_config
-from mutmut.mutation.file_mutation import mutate_file_contents
-from mutmut.utils.format_utils import get_mutant_name
+from mutant_tests import Test, first_failure, record
+from mutation import Mutant, mutants_of, statement_of, with_marks
 
-CORE = (
-    "messages/fields.py",
-    "messages/quantised.py",
-    "messages/wire.py",
-    "nodes/clock.py",
-    "nodes/graph.py",
-    "nodes/node_host.py",
-    "nodes/compressor/quantiser.py",
-    "plugins/chosen_rows/acts.py",
-    "nodes/compressor/phi/hadamard.py",
-    "nodes/compressor/phi/sbhe.py",
-    "nodes/monitor/metrics.py",
-    "nodes/monitor/statistics.py",
-    "nodes/network/gate.py",
-    "nodes/network/network.py",
-    "nodes/player/schedule.py",
-    "nodes/reconstructor/bases/haar.py",
-    "nodes/reconstructor/estimates/uncertainty.py",
-    "nodes/reconstructor/faults/rows.py",
-    "nodes/reconstructor/faults/taxels.py",
-    "nodes/reconstructor/skin/estimator.py",
-    "nodes/reconstructor/skin/gates.py",
-    "nodes/reconstructor/skin/rows.py",
-    "nodes/reconstructor/skin/solver.py",
-    "nodes/reconstructor/skin/frame_vectors.py",
-    "nodes/reconstructor/skin/noise_level.py",
-    "nodes/reconstructor/skin/trust.py",
-    "nodes/reconstructor/solvers/fista.py",
-    "nodes/recorder/bag/writer.py",
-    "nodes/recorder/convert/to_bag.py",
-    "nodes/sensor/noise.py",
-    "plugins/vendors/emed.py",
-    "plugins/vendors/tekscan.py",
-    "nodes/sensor/scenes/contact.py",
-    "nodes/sensor/scenes/bodies.py",
-)
-PER_MODULE = 8
-WANTED_PERCENT = 90
-#: Tests of a module, where they are elsewhere.
-TESTS_OF = {
-    "nodes/compressor/quantiser.py": ("tests/messages",),
-    "nodes/compressor/phi/sbhe.py": ("tests/nodes/compressor/phi",),
-    "nodes/monitor/statistics.py": ("tests/nodes/monitor/test_metrics.py",),
-    "nodes/network/network.py": ("tests/nodes/network",),
-    "nodes/reconstructor/skin/estimator.py": ("tests/nodes/reconstructor/skin/test_skin.py",),
-    "nodes/reconstructor/skin/frame_vectors.py": ("tests/nodes/reconstructor/skin/test_skin.py",),
-    "nodes/reconstructor/skin/noise_level.py": ("tests/nodes/reconstructor/skin/test_skin.py",),
-    "nodes/reconstructor/skin/rows.py": ("tests/nodes/reconstructor/skin/test_skin.py",),
-    "nodes/reconstructor/skin/trust.py": ("tests/nodes/reconstructor/skin/test_skin.py",),
-    "nodes/sensor/noise.py": ("tests/nodes/sensor/test_missing.py",),
-    "nodes/sensor/scenes/bodies.py": ("tests/nodes/sensor/scenes/test_scenes.py",),
-    "nodes/sensor/scenes/contact.py": ("tests/nodes/sensor/scenes/test_scenes.py",),
+PER_AREA = 40
+WANTED_PERCENT = 85
+#: Longest time of the tests of one mutant, by what they take without it, in seconds.
+MOST_S = 30.0
+#: Quantile of the standard normal distribution for an interval of 90 %.
+QUANTILE = 1.645
+
+_OF_SKIN = ("tests/nodes/reconstructor", "tests/nodes/test_bus.py", "tests/nodes/test_settings.py")
+_OF_NODES = ("tests/nodes/test_*.py", "tests/nodes/process", "tests/nodes/player")
+
+
+class Area(NamedTuple):
+    """A part of the core, and the tests that are tried on its mutants."""
+
+    sources: tuple[str, ...]
+    tests: tuple[str, ...]
+
+
+AREAS = {
+    "node": Area(("nodes/node.py", "nodes/node_host.py"), _OF_NODES),
+    "network": Area(("nodes/network",), ("tests/nodes/network", *_OF_NODES)),
+    "messages": Area(("messages",), ("tests/messages", "tests/nodes/test_bus.py")),
+    "launch/run": Area(("launch/run",), ("tests/launch/run",)),
+    "patch": Area(("nodes/reconstructor/patch.py",), _OF_SKIN),
+    "skin": Area(("nodes/reconstructor/skin",), _OF_SKIN),
+    "faults": Area(("nodes/reconstructor/faults",), _OF_SKIN),
+    "sensor": Area(("nodes/sensor",), ("tests/nodes/sensor",)),
+    "clock": Area(("nodes/clock.py", "nodes/graph.py"), _OF_NODES),
+    "compressor": Area(
+        ("nodes/compressor/phi", "nodes/compressor/quantiser.py"),
+        ("tests/nodes/compressor", "tests/messages"),
+    ),
+    "solvers": Area(
+        (
+            "nodes/reconstructor/bases",
+            "nodes/reconstructor/estimates",
+            "nodes/reconstructor/solvers",
+        ),
+        _OF_SKIN,
+    ),
+    "monitor": Area(
+        ("nodes/monitor/metrics.py", "nodes/monitor/statistics.py"),
+        ("tests/nodes/monitor/test_metrics.py",),
+    ),
+    "recorder": Area(("nodes/recorder",), ("tests/nodes/recorder",)),
+    "vendors": Area(
+        ("plugins/vendors/emed.py", "plugins/vendors/tekscan.py"), ("tests/plugins/vendors",)
+    ),
+    "chosen rows": Area(("plugins/chosen_rows",), ("tests/plugins/chosen_rows",)),
 }
-#: Exit codes of the tests under a mutant: passed, or no test reached it.
-SURVIVED, NO_TESTS = 0, 33
 ROOT = Path(__file__).resolve().parent.parent
-CONFIG = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]
-IGNORED = shutil.ignore_patterns("__pycache__")
 EXPLAINED = ROOT / ".ci" / "mutants.toml"
 Explanations = dict[str, list[dict[str, str]]]
 """By module, entries with `old` and `new` code of a mutant, and `why` it needs no test."""
-_MANGLED = re.compile(r"__mutmut_\w+")
-_TEXT = re.compile(r"""[rbf]*("([^"\\]|\\.)*"|'([^'\\]|\\.)*')""", re.IGNORECASE)
 
 
-def main(arguments: list[str]) -> int:
-    per_module = int(arguments.pop(0)) if arguments and arguments[0].isdecimal() else PER_MODULE
-    modules = arguments or list(CORE)
-    missing = [name for name in modules if not (ROOT / name).is_file()]
-    for name in missing:
-        print(f"{name}: no such module", file=sys.stderr)
-    if missing:
-        return 2
+@dataclass
+class Score:
+    """What became of the sample of one area."""
+
+    area: str
+    n_mutants: int
+    n_by_name: int = 0
+    """Caught by a test of the module's name."""
+    n_caught: int = 0
+    n_equivalent: int = 0
+    """Explained as a change of nothing that the program does."""
+    n_survived: int = 0
+    lines: list[str] = field(default_factory=list)
+
+    @property
+    def n_sample(self) -> int:
+        return self.n_caught + self.n_survived
+
+    def __str__(self) -> str:
+        low, high = interval(self.n_caught, self.n_sample)
+        percent = 100 * self.n_caught / max(self.n_sample, 1)
+        return (
+            f"{self.area}: {self.n_caught} of {self.n_sample} caught ({percent:.0f} %, "
+            f"90 % interval {100 * low:.0f} to {100 * high:.0f}; {self.n_by_name} by tests of the "
+            f"module's name; {self.n_equivalent} change nothing; {self.n_mutants} mutants in all)"
+        )
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description="Share of mutants that tests catch, by area.")
+    parser.add_argument("areas", nargs="*", metavar="AREA", help=f"some of {', '.join(AREAS)}")
+    parser.add_argument("--size", type=int, default=PER_AREA, help="mutants an area")
+    parser.add_argument("--draw", type=int, default=1, help="number of the sample")
+    arguments = parser.parse_args()
+    unknown = [area for area in arguments.areas if area not in AREAS]
+    if unknown:
+        parser.error(f"{unknown[0]}: no such area (allowed: {', '.join(AREAS)})")
     explained = tomllib.loads(EXPLAINED.read_text())
-    counts: Counter[str] = Counter()
-    for _, members in groupby(modules, os.path.dirname):
-        counts += _test_modules(list(members), per_module, explained)
-    if not counts:
-        print("mutmut made no mutants", file=sys.stderr)
-        return 1
-    percent = 100 * counts["caught"] / counts.total()
-    print(
-        f"mutants: {counts['caught']} of {counts.total()} caught ({percent:.0f} %), "
-        f"{counts['explained']} explained, {counts['survived']} survived"
+    scores: list[Score] = []
+    names = arguments.areas or list(AREAS)
+    # Areas of the same tests share what these reach.
+    for paths in dict.fromkeys(AREAS[name].tests for name in names):
+        members = [name for name in names if AREAS[name].tests == paths]
+        with tempfile.TemporaryDirectory(prefix="mutants-") as folder:
+            tree = Path(folder)
+            _copy(tree)
+            tests = _recorded(tree, members)
+            for name in members:
+                score = _score(tree, name, tests, arguments.size, arguments.draw, explained)
+                print(score, *score.lines, sep="\n", flush=True)
+                scores.append(score)
+    low = [score for score in scores if 100 * score.n_caught < WANTED_PERCENT * score.n_sample]
+    for score in low:
+        print(f"fewer than {WANTED_PERCENT} %: {score.area}", file=sys.stderr)
+    return 1 if low else 0
+
+
+def interval(n_hits: int, n: int) -> tuple[float, float]:
+    """Interval of Wilson (1927) for the share of which `n_hits` of `n` were drawn, 90 %."""
+    if not n:
+        return 0.0, 1.0
+    share = n_hits / n
+    square = QUANTILE**2
+    centre = (share + square / (2 * n)) / (1 + square / n)
+    spread = share * (1 - share) / n + square / (4 * n * n)
+    half = QUANTILE * math.sqrt(spread) / (1 + square / n)
+    return centre - half, centre + half
+
+
+def _recorded(tree: Path, names: Sequence[str]) -> list[Test]:
+    """Run the tests of areas in a copy whose modules note what they run, and restore these."""
+    modules = [module for name in names for module in _modules(name)]
+    for module in modules:
+        (tree / module).write_text(with_marks((ROOT / module).read_text(), module))
+    patterns = AREAS[names[0]].tests
+    tests = record(tree, [str(p.relative_to(ROOT)) for t in patterns for p in sorted(ROOT.glob(t))])
+    for module in modules:
+        shutil.copy2(ROOT / module, tree / module)
+    return tests
+
+
+def _score(
+    tree: Path, name: str, tests: list[Test], size: int, draw: int, explained: Explanations
+) -> Score:
+    """Test a sample of the mutants of an area."""
+    codes = {module: (ROOT / module).read_text() for module in _modules(name)}
+    mutants = [mutant for module in codes for mutant in mutants_of(ROOT, module)]
+    mutants.sort(key=lambda mutant: _lot(mutant, draw))
+    score = Score(name, len(mutants))
+    for number, mutant in enumerate(mutants[:size], 1):
+        path = tree / mutant.module
+        path.write_text(mutant.code)
+        # Another second for each, by which Python knows that its bytecode is not current.
+        os.utime(path, (number, number))
+        chosen = tests_of(mutant, codes[mutant.module], tests)
+        failed = first_failure(tree, chosen) if chosen else ""
+        _count(score, mutant, failed, explained, len(chosen))
+        shutil.copy2(ROOT / mutant.module, path)
+    return score
+
+
+def _modules(area: str) -> list[str]:
+    """Modules of an area, as paths within the repository."""
+    modules: list[str] = []
+    for source in AREAS[area].sources:
+        path = ROOT / source
+        files = [path] if path.is_file() else sorted(path.rglob("*.py"))
+        modules += [str(file.relative_to(ROOT)) for file in files]
+    return modules
+
+
+def _lot(mutant: Mutant, draw: int) -> str:
+    """Place of a mutant in a draw, which a change of other lines leaves as it is."""
+    text = f"{draw} {mutant.module} {mutant.old} {mutant.new} {mutant.line}"
+    return hashlib.sha256(text.encode()).hexdigest()
+
+
+def _copy(tree: Path) -> None:
+    """Copy the files of the repository, and compiled loops."""
+    listing = subprocess.run(["git", "ls-files"], cwd=ROOT, capture_output=True, check=True)
+    names = listing.stdout.decode().splitlines()
+    compiled = (ROOT / "nodes" / "numerics").glob("__pycache__/*.nb?")
+    names += [str(path.relative_to(ROOT)) for path in compiled]
+    for name in names:
+        target = tree / name
+        target.parent.mkdir(parents=True, exist_ok=True)
+        # With its time, by which compiled loops know that they are current; links stay links.
+        shutil.copy2(ROOT / name, target, follow_symlinks=False)
+
+
+def _count(
+    score: Score, mutant: Mutant, failed: str, explained: Explanations, n_tests: int
+) -> None:
+    entries = explained.get(mutant.module, [])
+    reasons = [e["why"] for e in entries if (e["old"], e["new"]) == (mutant.old, mutant.new)]
+    if failed:
+        score.n_caught += 1
+        score.n_by_name += _is_named(failed, mutant.module)
+        return
+    if reasons and reasons[0].startswith("equivalent"):
+        score.n_equivalent += 1
+        return
+    score.n_survived += 1
+    verdict = f"explained: {reasons[0]}" if reasons else f"survived {n_tests} tests"
+    place = f"  {mutant.module}:{mutant.line}: {verdict}"
+    score.lines += [place, f"    - {mutant.old}", f"    + {mutant.new}"]
+
+
+def tests_of(mutant: Mutant, code: str, tests: list[Test]) -> list[Test]:
+    """Tests that reach the statement of a mutant, in the order in which they are tried."""
+    line = statement_of(code, mutant.line)
+    if line is None:  # outside functions: it runs when the module is imported
+        start = f"{mutant.module}:"
+        marks = {mark for test in tests for mark in test.marks if mark.startswith(start)}
+    else:
+        marks = {f"{mutant.module}:{line}"}
+    reaching = [test for test in tests if test.marks & marks]
+    if line is None:
+        # A test of a default may run none of the module's functions.
+        named = [test for test in tests if _is_named(test.name, mutant.module)]
+        reaching += [test for test in named if test not in reaching]
+    folder = str(Path("tests") / Path(mutant.module).parent)
+    reaching.sort(
+        key=lambda test: (
+            not _is_named(test.name, mutant.module),
+            not test.name.startswith(folder),
+            test.seconds,
+        )
     )
-    return 0 if percent >= WANTED_PERCENT or not counts["survived"] else 1
+    chosen: list[Test] = []
+    seconds = 0.0
+    for test in reaching:
+        seconds += test.seconds
+        if seconds < MOST_S or not chosen:
+            chosen.append(test)
+    return chosen
 
 
-def _test_modules(modules: list[str], size: int, explained: Explanations) -> Counter[str]:
-    """Test a sample of mutants of each module; print scores and survivors, return the counts."""
-    with tempfile.TemporaryDirectory() as name, contextlib.chdir(name):
-        _lay_out(Path(name), modules)
-        reset_config()  # mutmut reads its configuration from the folder that it runs in
-        samples = {module: _sample(module, size) for module in modules}
-        _run_mutmut([mutant for sample in samples.values() for mutant in sample])
-        codes = {module: _exit_codes(module) for module in modules}
-    counts: Counter[str] = Counter()
-    for module, sample in samples.items():
-        reasons = {(e["old"], e["new"]): e["why"] for e in explained.get(module, [])}
-        missed = [
-            change
-            for mutant, change in sample.items()
-            if codes[module].get(mutant) in (SURVIVED, NO_TESTS, None)
-        ]
-        print(f"{module}: {len(sample) - len(missed)} of {len(sample)}", flush=True)
-        for change in missed:
-            verdict = f"explained: {reasons[change]}" if change in reasons else "survived:"
-            print(f"  {verdict}\n    - {change[0]}\n    + {change[1]}", flush=True)
-        counts["caught"] += len(sample) - len(missed)
-        counts["explained"] += sum(change in reasons for change in missed)
-        counts["survived"] += sum(change not in reasons for change in missed)
-    return counts
-
-
-def _lay_out(tree: Path, modules: list[str]) -> None:
-    """Copy the package as it is imported, its tests, and a configuration of mutmut."""
-    # Links are followed: a mutant is a change of the copy alone.
-    shutil.copytree(ROOT / "src" / "sparseskin", tree / "sparseskin", ignore=IGNORED)
-    shutil.copytree(ROOT / "tests", tree / "tests", ignore=IGNORED)
-    tests = sorted({path for module in modules for path in _tests_of(module)})
-    lines = [
-        "[tool.mutmut]",
-        'source_paths = ["sparseskin"]',
-        f"only_mutate = {json.dumps([f'sparseskin/{name}' for name in modules])}",
-        'also_copy = ["tests"]',
-        "timeout_multiplier = 5.0",
-        "timeout_constant = 10.0",
-        f"pytest_add_cli_args_test_selection = {json.dumps(tests)}",
-        'pytest_add_cli_args = ["-m", "not slow", "--hypothesis-seed=0"]',
-        "[tool.pytest.ini_options]",
-        'addopts = ["--import-mode=importlib", "--strict-markers"]',
-        f"markers = {json.dumps(CONFIG['pytest']['ini_options']['markers'])}",
-        f"pythonpath = {json.dumps(CONFIG['pytest']['ini_options']['pythonpath'])}",
-    ]
-    (tree / "pyproject.toml").write_text("\n".join(lines) + "\n")
-
-
-def _tests_of(module: str) -> tuple[str, ...]:
-    """Return the test file of the module's name, or all of its folder."""
-    path = Path(module)
-    named = Path("tests", path.parent, f"test_{path.name}")
-    found = named if (ROOT / named).is_file() else named.parent
-    return TESTS_OF.get(module, (str(found),))
-
-
-def _sample(module: str, size: int) -> dict[str, tuple[str, str]]:
-    """Draw mutants of a module, other than those of texts; the old and new code, by name."""
-    path = Path("sparseskin", module)
-    mutated = mutate_file_contents(str(path), path.read_text())
-    lines = mutated.code.split("\n")
-    code = {
-        name: [_MANGLED.sub("", line) for line in lines[span.start - 1 : span.end]]
-        for name, span in mutated.line_span_by_function_name.items()
-    }
-    names = sorted(mutated.mutant_names)
-    sample: dict[str, tuple[str, str]] = {}
-    for name in random.Random(module).sample(names, len(names)):
-        if len(sample) == size:
-            break
-        diff = list(ndiff(code[_MANGLED.sub("__mutmut_orig", name)], code[name]))
-        old, new = (" ".join(line[2:].strip() for line in diff if line[0] == s) for s in "-+")
-        if _TEXT.sub("", old) != _TEXT.sub("", new):
-            sample[get_mutant_name(path, name)] = (old, new)
-    return sample
-
-
-def _run_mutmut(mutants: list[str]) -> None:
-    """Run mutmut on these mutants without its progress; what it finds is read from its files."""
-    folder = Path("mutants").absolute()
-    folder.mkdir()  # now: Python forgets folders of its path that are not there when it starts
-    environment = {**os.environ, "PYTHONPATH": str(folder)}
-    command = [sys.executable, "-m", "mutmut", "run", "--max-children", "1", *mutants]
-    done = subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
-    if done.returncode:
-        lines = [line for line in done.stdout.splitlines() if not "⠀" <= line[:1] <= "⣿"]
-        print(*lines[-30:], done.stderr[-3000:], sep="\n", file=sys.stderr)
-
-
-def _exit_codes(module: str) -> dict[str, int | None]:
-    """Exit code of the tests by mutant of a module; None where it was not tested."""
-    meta = Path("mutants", "sparseskin", f"{module}.meta")
-    if not meta.is_file():
-        return {}
-    found: dict[str, int | None] = json.loads(meta.read_text())["exit_code_by_key"]
-    return found
+def _is_named(test: str, module: str) -> bool:
+    """True for a test of the file of the module's name, in the folder of its tests."""
+    path = Path("tests") / module
+    return test.startswith(f"{path.parent}/test_{path.name}::")
 
 
 if __name__ == "__main__":
-    sys.exit(main(sys.argv[1:]))
+    sys.exit(main())

@@ -87,7 +87,7 @@ class Best:
     def run_launch(self, *words: Any, **options: Any) -> Any:
         largest = -1.0
         for frame in self._own["run_launch"](*words, **options):
-            if frame.forces.sum() > largest:
+            if frame.forces is not None and frame.forces.sum() > largest:
                 largest = frame.forces.sum()
                 self.maps = frame.taxels.copy(), frame.forces.copy(), frame.measurements.size
             yield frame

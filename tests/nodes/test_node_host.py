@@ -4,12 +4,14 @@ import re
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from sparseskin.messages import End, Measurements, PhiState, Taxels, encode
 from sparseskin.nodes.clock import ManualClock
 from sparseskin.nodes.errors import RefusedError, SparseskinError
 from sparseskin.nodes.node import Context, Node, SourceNode, Tick
-from sparseskin.nodes.node_host import NodeHost
+from sparseskin.nodes.node_host import NodeHost, TopicCount
 from sparseskin.nodes.settings import Settings
 
 RUN = "00000000000000aa"
@@ -28,6 +30,9 @@ def phi():
 
 def end(n):
     return End(stamp_ns=999, patch="skin", run_id=RUN, seq=n, of="taxels", n_messages=n)
+
+
+END_AT_0 = {"stamp_ns": 0, "patch": "skin", "run_id": RUN}
 
 
 class Summer(Node[Settings]):
@@ -184,3 +189,118 @@ def test_the_first_failure_of_a_node_is_its_reason():
         assert list(host.receive(taxels(seq))) == []
     assert (host.failure, host.counts.refused) == ("frame 0 cannot be measured", {"failed": 2})
     assert lines == ["failed: frame 0 cannot be measured"]
+
+
+@given(first=st.integers(0, 99), n_lost=st.integers(0, 9))
+def test_a_late_reader_loses_nothing_before_its_first_message(first, n_lost):
+    count = TopicCount(late=True)
+    assert count.admit(taxels(first))
+    assert count.lost == 0
+    assert count.total == 1
+    count.end(RUN, first + 1 + n_lost)
+    assert count.lost == n_lost
+    assert count.total == 1 + n_lost
+
+
+@pytest.mark.parametrize(("late", "lost"), [(True, 0), (False, 7)])
+def test_of_a_stream_that_ends_unread_a_late_reader_has_lost_nothing(late, lost):
+    count = TopicCount(late=late)
+    count.end(RUN, 7)
+    assert count.lost == lost
+    assert count.ended
+
+
+def test_messages_of_all_runs_of_a_publisher_are_counted():
+    count = TopicCount()
+    for message in (taxels(0), taxels(1), taxels(0, OTHER_RUN)):
+        count.admit(message)
+    assert count.total == 3
+    assert count.received == 3
+
+
+def test_a_publisher_that_starts_again_after_its_end_has_not_ended():
+    count = TopicCount()
+    count.end(RUN, 2)
+    assert count.ended
+    count.admit(taxels(0, OTHER_RUN))
+    assert not count.ended
+    assert count.lost == 2
+
+
+def test_states_that_a_reader_has_not_seen_are_not_lost():
+    count = TopicCount()
+    assert count.admit(phi().published(RUN, 4))
+    assert count.lost == 0
+
+
+def test_the_end_of_an_input_is_processed_once():
+    class Ending(Summer):
+        n_ends = 0
+
+        def ended(self, topic, n_messages):
+            self.n_ends += 1
+            return ()
+
+    host, _ = make(Ending)
+    for _ in range(3):
+        list(host.receive(end(0)))
+    assert host.node.n_ends == 1
+
+
+def test_errors_are_counted_beside_refusals():
+    host, _ = make(Summer)
+    assert "errors" not in host.counts.as_dict()
+    list(host.receive(taxels(0, value=8.0)))
+    list(host.receive(taxels(1, value=100.0)))
+    counts = host.counts.as_dict()
+    assert counts["errors"] == 1
+    assert counts["refused"] == {"failed": 1, "refused": 1}
+    assert counts["received"] == {"/skin/taxels": 2, "/skin/phi": 0}
+    assert counts["published"] == {}
+
+
+def test_an_overtaken_message_is_skipped_and_an_overtaken_end_ends():
+    host, _ = make(Summer)
+    assert list(host.receive(taxels(0), overtaken=True)) == []
+    assert host.node.steps == 0
+    assert host.counts.inputs["/skin/taxels"].skipped == 1
+    assert host.counts.inputs["/skin/taxels"].lost == 0
+    (last,) = host.receive(end(1), overtaken=True)
+    assert isinstance(last, End)
+
+
+@pytest.mark.parametrize("method", ["idle", "close"])
+def test_a_node_that_fails_between_messages_states_why(method):
+    class Failing(Summer):
+        def idle(self):
+            raise SparseskinError("the disk is full")
+
+        def close(self, counts):
+            raise SparseskinError("the disk is full")
+
+    host, lines = make(Failing)
+    getattr(host, method)()
+    assert host.failure == "the disk is full"
+    assert lines == ["failed: the disk is full"]
+    assert host.counts.refused == {"failed": 1}
+
+
+def test_the_end_has_the_latest_stamp_of_the_inputs():
+    host, _ = make(Summer)
+    for seq in (0, 5, 3):
+        list(host.receive(taxels(seq)))
+    (last,) = host.receive(End(**END_AT_0, seq=6, of="taxels", n_messages=6))
+    assert last.stamp_ns == 105
+
+
+def test_a_source_that_is_ended_publishes_what_is_still_to_come():
+    class Delayed(Counter):
+        def rest(self):
+            yield taxels(0)
+
+    host, _ = make(Delayed)
+    list(host.tick(Tick(0, 0)))
+    rest, last = host.finish_frames(7)
+    assert (type(rest), rest.seq) == (Taxels, 1)
+    assert (type(last), last.n_messages) == (End, 2)
+    assert list(host.finish_frames(8)) == []

@@ -1,41 +1,21 @@
 """A measurement matrix and a solver of another package, installed as pip installs it."""
 
-import shutil
-import sys
-import tomllib
-from pathlib import Path
-
 import numpy as np
 import pytest
 from bags import launched, only
+from installed import installed
 
 import sparseskin
 from sparseskin.messages import PhiState, Reconstruction, Taxels
-from sparseskin.nodes import extensions
 from sparseskin.nodes.compressor.node import CompressorSettings
 from sparseskin.nodes.compressor.phi.base import KINDS
 from sparseskin.nodes.reconstructor.settings import ReconstructorSettings
 
-PACKAGE = Path(__file__).parents[2] / "packages" / "sparseskin_runs"
-
 
 @pytest.fixture
-def installed(tmp_path, monkeypatch):
-    """The package in a folder of `sys.path`, with the metadata of its pyproject.toml."""
-    project = tomllib.loads((PACKAGE / "pyproject.toml").read_text())["project"]
-    shutil.copy2(PACKAGE / "sparseskin_runs.py", tmp_path)
-    info = tmp_path / f"sparseskin_runs-{project['version']}.dist-info"
-    info.mkdir()
-    (info / "METADATA").write_text(f"Name: {project['name']}\nVersion: {project['version']}\n")
-    lines = []
-    for group, points in project["entry-points"].items():
-        lines += [f"[{group}]", *(f"{name} = {target}" for name, target in points.items())]
-    (info / "entry_points.txt").write_text("\n".join(lines))
-    monkeypatch.syspath_prepend(tmp_path)
-    extensions.forget()
-    yield
-    extensions.forget()
-    sys.modules.pop("sparseskin_runs", None)
+def runs(tmp_path, monkeypatch):
+    with installed("sparseskin_runs", tmp_path, monkeypatch):
+        yield
 
 
 def known(settings, key):
@@ -43,7 +23,7 @@ def known(settings, key):
     return next(entry["known"] for entry in settings.described() if entry["key"] == key)
 
 
-@pytest.mark.usefixtures("installed")
+@pytest.mark.usefixtures("runs")
 def test_both_have_names_beside_those_of_the_core_and_pass_the_checks():
     assert "runs" in known(CompressorSettings, "phi")
     assert "spread" in known(ReconstructorSettings, "solver")
@@ -53,7 +33,7 @@ def test_both_have_names_beside_those_of_the_core_and_pass_the_checks():
     sparseskin.check_solver(solver)
 
 
-@pytest.mark.usefixtures("installed")
+@pytest.mark.usefixtures("runs")
 def test_a_graph_measures_and_reconstructs_by_their_names():
     bus = launched("path_40", "compressor.phi=runs", "reconstructor.solver=spread")
     starts = sparseskin.make_phi("runs", n=1600, m=533, seed=0).starts

@@ -54,6 +54,39 @@ def test_each_restart_waits_twice_as_long_up_to_the_longest():
     assert list(restarts.failures) == [*"0123456"]
 
 
+def test_why_a_node_failed_is_known_of_the_last_ten_times():
+    restarts = Restarts(RestartPolicy(ON_FAILURE, max_restarts=20))
+    for k in range(12):
+        restarts.failed(100.0 + k, f"{k}")
+    assert list(restarts.failures) == [f"{k}" for k in range(2, 12)]
+    assert restarts.total == 12
+
+
+def test_a_node_that_is_never_restarted_gives_no_reason_for_it():
+    restarts = Restarts(RestartPolicy())
+    assert restarts.failed(1.0, "died") == ""
+    assert restarts.total == 0
+    assert restarts.due_s is None
+
+
+@pytest.mark.parametrize(
+    ("key", "low", "high"),
+    [
+        ("max_restarts", 1, 1000),
+        ("restart_window_s", 1.0, 86400.0),
+        ("restart_delay_s", 0.0, 60.0),
+        ("restart_max_delay_s", 0.0, 3600.0),
+        ("hang_s", 0.0, 3600.0),
+    ],
+)
+def test_numbers_of_a_policy_outside_their_range_are_refused(key, low, high):
+    for allowed in (low, high):
+        assert getattr(RestartPolicy(**{key: allowed}), key) == allowed
+    for refused in (low - 1, high + 1):
+        with pytest.raises(SparseskinError, match=key):
+            RestartPolicy(**{key: refused})
+
+
 @given(st.integers(1, 5), st.floats(1.0, 100.0), st.lists(st.floats(0.0, 50.0), max_size=40))
 def test_no_window_holds_more_restarts_than_are_allowed(max_restarts, window_s, gaps_s):
     policy = RestartPolicy(ON_FAILURE, max_restarts=max_restarts, restart_window_s=window_s)

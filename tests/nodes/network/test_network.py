@@ -275,3 +275,25 @@ def test_a_topic_that_begins_like_another_is_not_taken_for_it(pair):
     with pytest.raises(TruncatedError):
         decode(*wrong[0])
     assert decode(*last).seq == 3
+
+
+def test_an_answer_to_another_writer_is_none_to_this_one(context):
+    """A reader subscribes to its answers at all writers that it reads."""
+    writers = [Writer(context, f"inproc://{name}", name) for name in ("left", "right")]
+    reader = Reader(context, "desk", [writer.endpoint for writer in writers], [LEFT])
+    for writer in writers:
+        wait_for_reader(writer, "desk")
+    left, right = writers
+    for _ in range(3):
+        last = right.ask()
+    ask = left.ask()
+    reader.answer(b"right:%d" % last)
+
+    def right_has_it():
+        for writer in writers:
+            writer.serve_subscriptions()
+        return right.has_answered("desk", last)
+
+    wait_until(right_has_it, "its answer")
+    assert left.awaits(ask)
+    assert not left.has_answered("desk", ask)

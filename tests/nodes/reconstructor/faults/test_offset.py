@@ -36,6 +36,18 @@ def test_an_offset_is_known_while_it_lasts(offset, sign):
     assert watch.look(PHI, innovation(20)) == 0.0
 
 
+@given(
+    before=st.floats(0.05, 30.0),
+    after=st.floats(0.05, 30.0),
+    signs=st.tuples(st.sampled_from([-1, 1]), st.sampled_from([-1, 1])),
+)
+def test_an_offset_that_changes_is_followed_at_once(before, after, signs):
+    watch = OffsetWatch(LEAST_SD)
+    watch.look(PHI, innovation(0) + np.float32(signs[0] * before))
+    value = watch.look(PHI, innovation(1) + np.float32(signs[1] * after))
+    assert value == pytest.approx(signs[1] * after, abs=0.01)
+
+
 def test_noise_is_no_offset():
     watch = OffsetWatch(LEAST_SD)
     values = [watch.look(PHI, innovation(seed)) for seed in range(1000)]
@@ -55,6 +67,16 @@ def test_a_press_that_comes_or_goes_is_no_offset(row, col, side, force, has_come
     y = PHI.forward(noisy(frame)[0].reshape(-1))
     watch = OffsetWatch(LEAST_SD)
     assert watch.look(PHI, y if has_come else -y) == 0.0
+
+
+@given(data=st.data(), offset=st.floats(0.05, 30.0), sign=st.sampled_from([-1, 1]))
+def test_a_change_of_some_blocks_alone_is_no_offset(data, offset, sign):
+    watch = OffsetWatch(LEAST_SD)
+    rows = watch.rows_of(PHI)
+    blocks = range(len(rows.starts))
+    changed = data.draw(st.sets(st.sampled_from(blocks), min_size=1, max_size=len(blocks) - 1))
+    change = np.where(np.isin(rows.block, [*changed]), np.float32(sign * offset), 0)
+    assert watch.look(PHI, innovation(0) + change) == 0.0
 
 
 @pytest.mark.parametrize(("side", "is_told_apart"), [(16, False), (32, True), (40, True)])

@@ -157,6 +157,8 @@ def test_frames_that_hold_nothing_are_the_last_one_and_logged_once(reason):
         held = np.full_like(held, 0.3)
     verdicts = [watched.frame(frames[40], lambda _: held) for _ in range(12)]
     assert [verdict.reason for verdict in verdicts[5:]] == [reason] * 7
+    assert last.is_solved
+    assert not verdicts[-1].is_solved
     for verdict in verdicts[6:]:
         np.testing.assert_array_equal(verdict.forces, verdicts[5].forces)
     assert watched.lines == [f"{reason.phrase}: not trusted"]
@@ -246,6 +248,69 @@ def test_measurements_mix_taxels_but_for_single_ones(kind, is_mixed):
 def test_few_names_are_listed_and_more_counted():
     assert listed([3, 5]) == "3, 5"
     assert listed([*range(MOST_NAMED + 2)]).endswith(f", {MOST_NAMED - 1} and 2 more")
+
+
+def unclear(reasons):
+    """A watch, a solver and forces of a frame of which several reasons hold."""
+    watch = FaultWatch(Noise(F_MAX), np.ones(SHAPE, dtype=np.bool_))
+    solver = Plain()
+    forces = np.zeros(SHAPE, dtype=np.float32)
+    if Reason.CLIPPED in reasons:
+        watch._received = Reason.CLIPPED
+    if Reason.RANGE in reasons:
+        forces[3, 4] = 2 * F_MAX
+    solver.trusted = Reason.ERROR not in reasons
+    if Reason.ROWS in reasons:
+        watch._rows_doubted = (0, 1)
+        watch._doubts = {"": np.ones(4, dtype=np.float32)}
+    watch._stuck.is_doubted = Reason.STUCK in reasons
+    watch._measured_noise.is_quiet = Reason.QUIET in reasons
+    return watch, solver, forces
+
+
+#: What makes another reason meaningless comes before it.
+IN_ORDER = [
+    Reason.CLIPPED,
+    Reason.RANGE,
+    Reason.ERROR,
+    Reason.ROWS,
+    Reason.STUCK,
+    Reason.QUIET,
+]
+
+
+@given(reasons=st.sets(st.sampled_from(IN_ORDER)))
+def test_of_several_reasons_the_first_is_stated(reasons):
+    watch, solver, forces = unclear(reasons)
+    verdict = watch.look(solver, PHI, forces)
+    assert verdict.reason == next((reason for reason in IN_ORDER if reason in reasons), "")
+
+
+@pytest.mark.parametrize(("doubt", "is_swamped"), [(0.24, False), (0.26, True)])
+def test_doubt_of_more_than_a_quarter_of_the_measurements_is_of_something_else(doubt, is_swamped):
+    watch, solver, forces = unclear([])
+    watch._rows_doubted = (0,)
+    watch._doubts = {"": np.full(100, doubt, dtype=np.float32)}
+    assert watch.look(solver, PHI, forces).reason == ("rows" if is_swamped else "")
+
+
+@pytest.mark.parametrize(
+    ("error", "largest", "reason"),
+    [
+        (0.9 * LEAST_SD, 0.0, Reason.WEAK),
+        (0.9 * LEAST_SD, F_MAX, Reason.ERROR),
+        (1.1 * LEAST_SD, 0.0, Reason.ERROR),
+        (None, 0.0, Reason.ERROR),
+    ],
+)
+def test_forces_and_error_within_the_stated_noise_are_weak(error, largest, reason):
+    watch = FaultWatch(Noise(F_MAX, LEAST_SD), np.ones(SHAPE, dtype=np.bool_))
+    solver = Plain()
+    solver.trusted = False
+    solver.error = error
+    forces = np.zeros(SHAPE, dtype=np.float32)
+    forces[3, 4] = largest
+    assert watch.look(solver, PHI, forces).reason == reason
 
 
 def test_a_stream_that_is_reset_looks_at_frames_anew():

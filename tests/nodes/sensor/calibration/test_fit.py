@@ -149,6 +149,15 @@ def test_stuck_noisy_and_dead_taxels_are_masked():
     assert found.presses[0].measured == pytest.approx(N, rel=1e-3)
 
 
+@pytest.mark.parametrize(("n_noisy", "is_remarked"), [(1, False), (2, True), (4, True)])
+def test_more_than_1_percent_of_noisy_taxels_were_touched(n_noisy, is_remarked):
+    noise = np.random.default_rng(5).normal(0, 1.0, (50, 10, 15))
+    noise.reshape(50, -1)[:, :n_noisy] *= 40
+    remarks = fit("p", 60 + noise, f_max=2.0).remarks
+    text = f"{n_noisy} taxels are noisy: was the skin touched where it should not be?"
+    assert remarks == [text] * is_remarked
+
+
 def test_whole_counts_are_not_stuck_and_taxels_under_no_even_load_get_the_median_gain():
     found = fit("p", np.full((9, *SHAPE), 5.0), f_max=250.0, unit="raw")
     assert found.stuck == 0

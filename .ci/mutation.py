@@ -1,0 +1,139 @@
+"""Mutants of a module, and a copy of it that notes which of its statements run."""
+
+from __future__ import annotations
+
+import ast
+import re
+from dataclasses import dataclass
+from difflib import ndiff
+from pathlib import Path
+
+import libcst
+from mutmut.mutation.file_mutation import Mutation, create_mutations
+
+#: Number that is not changed by one, which would be less than a part in a hundred.
+LARGE = 100
+_TEXT = re.compile(r"""[rbf]*("([^"\\]|\\.)*"|'([^'\\]|\\.)*')""", re.IGNORECASE)
+
+
+@dataclass(frozen=True)
+class Mutant:
+    """One changed expression of a module."""
+
+    module: str
+    """Path of the module within the repository."""
+    code: str
+    """Text of the whole module with the change."""
+    old: str
+    """The changed lines, as they are."""
+    new: str
+    """The changed lines, as they become."""
+    line: int
+    """Number of the first changed line, from 1."""
+
+
+def mutants_of(root: Path, name: str) -> list[Mutant]:
+    """Mutants of a module, other than those of texts, those that mypy finds, and small ones."""
+    code = (root / name).read_text()
+    module, mutations, _, _ = create_mutations(name, code)
+    mutants = []
+    for mutation in mutations:
+        if _is_found_by_types(mutation) or _is_small(mutation):
+            continue
+        changed = module.deep_replace(mutation.original_node, mutation.mutated_node)
+        mutant = _mutant(name, code, changed.code)
+        if _TEXT.sub("", mutant.old) != _TEXT.sub("", mutant.new):
+            mutants.append(mutant)
+    return mutants
+
+
+def _mutant(module: str, code: str, changed: str) -> Mutant:
+    before = code.split("\n")
+    after = changed.split("\n")
+    start = 0
+    while before[start] == after[start]:
+        start += 1
+    end = 0
+    while end < min(len(before), len(after)) - start and before[-1 - end] == after[-1 - end]:
+        end += 1
+    # Equal lines within a change of several lines are not part of it.
+    diff = list(ndiff(before[start : len(before) - end], after[start : len(after) - end]))
+    old = " ".join(line[2:].strip() for line in diff if line[0] == "-")
+    new = " ".join(line[2:].strip() for line in diff if line[0] == "+")
+    return Mutant(module, changed, old, new, start + 1)
+
+
+def _is_found_by_types(mutation: Mutation) -> bool:
+    """True where None and a value change places: mypy refuses nearly all of these."""
+    old = mutation.original_node
+    new = mutation.mutated_node
+    if isinstance(new, libcst.Assign | libcst.AnnAssign):
+        assert isinstance(old, libcst.Assign | libcst.AnnAssign | libcst.AugAssign)
+        return _is_none(new.value) or _is_none(old.value)
+    if isinstance(new, libcst.Lambda):
+        return True
+    if isinstance(old, libcst.Call) and isinstance(new, libcst.Call):
+        n_none_before = sum(_is_none(argument.value) for argument in old.args)
+        return sum(_is_none(argument.value) for argument in new.args) > n_none_before
+    return False
+
+
+def _is_small(mutation: Mutation) -> bool:
+    """True where a large number is changed by one."""
+    old = mutation.original_node
+    return isinstance(old, libcst.Integer | libcst.Float) and old.evaluated_value >= LARGE
+
+
+def _is_none(node: libcst.CSTNode | None) -> bool:
+    return isinstance(node, libcst.Name) and node.value == "None"
+
+
+def statement_of(code: str, line: int) -> int | None:
+    """First line of the innermost statement of a function at a line; None outside functions."""
+    start = None
+    for body in _bodies(ast.parse(code)):
+        for statement in body:
+            if statement.lineno <= line <= (statement.end_lineno or 0):
+                start = max(start or 0, statement.lineno)
+    return start
+
+
+def with_marks(code: str, module: str) -> str:
+    """The module with `reach("module:line")` before each statement of its functions."""
+    tree = ast.parse(code)
+    for body in _bodies(tree):
+        marked: list[ast.stmt] = []
+        for statement in body:
+            is_docstring = isinstance(statement, ast.Expr) and isinstance(
+                statement.value, ast.Constant
+            )
+            if not is_docstring:
+                marked += ast.parse(f"_reach({f'{module}:{statement.lineno}'!r})").body
+            marked.append(statement)
+        body[:] = marked
+    # Behind the docstring, and behind imports of __future__.
+    place = 0
+    while place < len(tree.body) and _stands_first(tree.body[place]):
+        place += 1
+    tree.body[place:place] = ast.parse("from mutant_reach import reach as _reach").body
+    return ast.unparse(ast.fix_missing_locations(tree))
+
+
+def _stands_first(statement: ast.stmt) -> bool:
+    if isinstance(statement, ast.ImportFrom):
+        return statement.module == "__future__"
+    return isinstance(statement, ast.Expr) and isinstance(statement.value, ast.Constant)
+
+
+def _bodies(tree: ast.Module) -> list[list[ast.stmt]]:
+    """Lists of statements within all functions, outer ones first."""
+    bodies = []
+    for function in ast.walk(tree):
+        if isinstance(function, ast.FunctionDef | ast.AsyncFunctionDef):
+            for node in ast.walk(function):
+                for name in ("body", "orelse", "finalbody"):
+                    body = getattr(node, name, None)
+                    # Functions within functions are walked twice, their statements listed once.
+                    if isinstance(body, list) and not any(body is other for other in bodies):
+                        bodies.append(body)
+    return bodies

@@ -1,0 +1,497 @@
+"""The processes of a graph, which a test plays: joined, listened to, started again, ended."""
+
+import signal
+from dataclasses import replace
+
+import pytest
+from played import NAMES, Stage
+
+from sparseskin.launch.run.fleet import EXIT_FAILED, EXIT_USAGE, GRACE_S, START_S, Fleet
+from sparseskin.launch.run.launcher import Launcher
+from sparseskin.launch.run.state import graph_description, graph_state
+from sparseskin.launch.run.waiting import late_at_end, waits_for
+
+RESTART = 'restart = "on-failure"\nrestart_delay_s = 2.0\nmax_restarts = 2\nhang_s = 10.0'
+
+
+#: Wording of the launcher, in one place; the tests state which of these is logged, and when.
+SAYS = {
+    "died": "[launch] {} ended too early: {}",
+    "again": "[launch] {} is started again (restart {})",
+    "given up": " ({} restarts within {} s: given up)",
+    "silent": "[launch] {} {} been silent for {:g} s: SIGKILL",
+    "stubborn": "[launch] {} does not end: {}",
+    "error": "[{}] error: {}",
+    "of process": " (of the same process: {})",
+    "drain": "[launch] not drained after 5 s: {}",
+    "late": "{} (waits for {})",
+    "last": "{} (has not ended its stream)",
+    "imports": "{} has not started: it imports, compiles, or opens its device",
+    "no answer": "{} has not answered yet",
+}
+
+
+def line(kind, *words):
+    return SAYS[kind].format(*words)
+
+
+class Played(Stage):
+    """A fleet of played nodes."""
+
+    def __init__(self, *args, **options):
+        super().__init__(*args, **options)
+        self.fleet = Fleet(self.launch, 0, self.lines.append)
+
+    def node(self, name):
+        return self.fleet.nodes[name]
+
+    def run(self, supervised=True):
+        """Start the graph, to where all nodes are ready."""
+        self.fleet.spawn()
+        for name in NAMES:
+            self.bound(name)
+        self.fleet.serve()
+        for name in NAMES:
+            self.says(name, "ready")
+        self.fleet.serve()
+        for name in NAMES:
+            self.received(name)
+        self.fleet.supervised = supervised
+
+    def die(self, name, code=3):
+        self.node(name).process.code = code
+        self.fleet.serve()
+
+
+@pytest.fixture
+def stage(tmp_path, monkeypatch):
+    stages = []
+
+    def make(graph="", **options):
+        stages.append(Played(tmp_path, monkeypatch, graph, **options))
+        return stages[-1]
+
+    yield make
+    for played in stages:
+        for node in played.fleet:
+            node.process.code = 0
+            node.close()
+        played.close()
+
+
+def test_each_node_is_started_with_what_it_reads_and_who_reads_it(stage):
+    played = stage()
+    played.fleet.spawn()
+    assert played.started == [[name] for name in NAMES]
+    (config,) = played.received("compressor")
+    assert config["name"] == "compressor"
+    assert config["inputs"] == ["/skin/skin", "/skin/taxels"]
+    assert "reconstructor" in config["readers"]
+    assert config["late"] is False
+    assert config["companions"] == []
+    assert config["distant_readers"] == []
+    assert played.fleet.condition(played.node("sensor")) == "starting"
+
+
+def test_a_process_has_all_nodes_that_state_it(stage):
+    played = stage('process = "all"')
+    played.fleet.spawn()
+    assert played.started == [NAMES]
+
+
+def test_a_node_is_connected_to_its_writers(stage):
+    played = stage()
+    played.fleet.spawn()
+    for name in NAMES:
+        played.bound(name)
+    played.fleet.serve()
+    played.received("reconstructor")
+    played.fleet.connect(played.node("reconstructor"))
+    (command,) = played.received("reconstructor")
+    assert command["command"] == "connect"
+    assert [peer["writer"] for peer in command["peers"]] == ["compressor", "sensor"]
+    assert [peer["endpoint"] for peer in command["peers"]] == ["ipc:///compressor", "ipc:///sensor"]
+
+
+def test_a_node_that_is_ready_runs_and_is_paused_or_silent_as_it_says(stage):
+    played = stage()
+    played.run()
+    assert played.fleet.condition(played.node("sensor")) == "running"
+    played.heartbeat("sensor", state={"paused": True}, line="half", refusal="no")
+    played.fleet.serve()
+    node = played.node("sensor")
+    assert played.fleet.condition(node) == "paused"
+    assert node.line == "half"
+    assert node.refusal == "no"
+    played.now_s += 1.5
+    assert node.condition == "paused"
+    played.now_s += 0.2
+    assert node.condition == "not answering"
+
+
+def test_a_line_of_a_log_is_said_while_it_is_new(stage):
+    played = stage()
+    played.run()
+    played.prints("sensor", "100 Hz asked\n")
+    played.fleet.serve()
+    assert played.lines == ["[sensor] 100 Hz asked"]
+    assert played.node("sensor").said == "100 Hz asked"
+    played.now_s += 7.9
+    assert played.node("sensor").said == "100 Hz asked"
+    played.now_s += 0.2
+    assert played.node("sensor").said == ""
+
+
+def test_what_is_no_event_is_logged(stage):
+    played = stage()
+    played.run()
+    played._ends["sensor"]._channel_of_node.sendall(b"{\n[1]\n")
+    played.fleet.serve()
+    assert all("garbage" in garbage for garbage in played.lines)
+    assert len(played.lines) == 2
+
+
+@pytest.mark.parametrize(
+    ("required", "exit_code", "late_code"), [(True, EXIT_FAILED, 0), (False, 0, EXIT_FAILED)]
+)
+def test_a_node_that_dies_ends_the_graph_that_needs_it(stage, required, exit_code, late_code):
+    played = stage()
+    played.run()
+    name = "monitor"
+    cls = type("Observer", (played.node(name).spec.cls,), {"required": required})
+    played.node(name).spec = replace(played.node(name).spec, cls=cls)
+    played.die(name)
+    assert played.lines == [line("died", name, "exit code 3")]
+    assert played.fleet.exit_code == exit_code
+    assert played.fleet.late_code == late_code
+    assert played.node(name).failed
+    assert played.fleet.condition(played.node(name)) == "failed"
+    played.fleet.serve()
+    assert len(played.lines) == 1
+
+
+def test_a_node_that_was_killed_is_named_with_the_signal(stage):
+    played = stage()
+    played.run()
+    played.die("sensor", -signal.SIGSEGV)
+    assert played.lines == [line("died", "sensor", "killed by SIGSEGV")]
+
+
+def test_the_exit_code_is_that_of_the_first_failure(stage):
+    played = stage()
+    played.run()
+    played.says("sensor", "failed")
+    played.fleet.serve()
+    played.die("compressor")
+    assert played.fleet.exit_code == EXIT_USAGE == 2
+
+
+def test_an_error_that_a_node_survives_is_no_success(stage):
+    played = stage()
+    played.run()
+    played.says("reconstructor", "raised")
+    played.fleet.serve()
+    assert played.fleet.exit_code == 0
+    assert played.fleet.late_code == EXIT_FAILED
+    assert not played.node("reconstructor").failed
+
+
+def test_a_node_that_has_ended_may_exit(stage):
+    played = stage()
+    played.run()
+    played.says("sensor", "ended", counts={"errors": 0}, report={"n": 7}, clocks={})
+    played.fleet.serve()
+    played.die("sensor", 0)
+    assert played.lines == []
+    assert played.node("sensor").report == {"n": 7}
+    assert played.node("sensor").closed
+    assert played.fleet.condition(played.node("sensor")) == "ended"
+
+
+def test_a_node_that_dies_is_started_again_where_it_was_and_as_it_was(stage):
+    played = stage(RESTART)
+    played.run()
+    played.heartbeat("sensor", state={"paused": True}, counts={"refused": {"late": 2}})
+    played.fleet.serve()
+    played.die("sensor")
+    assert played.fleet.condition(played.node("sensor")) == "restarting"
+    assert played.lines == [line("died", "sensor", "exit code 3")]
+    played.now_s += 1.9
+    played.fleet.serve()
+    assert len(played.started) == 4
+    played.now_s += 0.2
+    played.fleet.serve()
+    assert played.started[4:] == [["sensor"]]
+    assert played.lines[1:] == [line("again", "sensor", 1)]
+    (config,) = played.received("sensor")
+    assert config["late"] is True
+    assert config["endpoint"] == "ipc:///sensor"
+
+    played.bound("sensor")
+    played.fleet.serve()
+    played.says("sensor", "ready")
+    played.fleet.serve()
+    assert played.commands("sensor") == ["connect", "start", "pause"]
+    assert played.node("sensor").counts["refused"] == {"late": 2}
+    assert played.fleet.exit_code == 0
+
+
+def test_a_node_that_dies_too_often_ends_the_graph(stage):
+    played = stage(RESTART)
+    played.run()
+    for wait_s in (2.1, 4.1):
+        played.die("compressor")
+        played.now_s += wait_s
+        played.fleet.serve()
+    played.die("compressor")
+    assert played.lines[-1].endswith("exit code 3" + line("given up", 2, 60))
+    assert played.fleet.exit_code == EXIT_FAILED
+    assert played.fleet.restarts["compressor"].total == 2
+
+
+def test_settings_that_are_refused_are_refused_again(stage):
+    played = stage(RESTART)
+    played.run()
+    played.says("compressor", "error", code=EXIT_USAGE, text="ratio")
+    played.fleet.serve()
+    assert played.lines == [line("error", "compressor", "ratio")]
+    assert played.fleet.exit_code == EXIT_USAGE
+    assert played.fleet.restarts["compressor"].due_s is None
+
+
+def test_nodes_of_one_process_fail_together(stage):
+    played = stage('process = "all"')
+    played.run()
+    played.says("sensor", "error", code=EXIT_FAILED, text="driver")
+    played.fleet.serve()
+    others = ", ".join(NAMES[1:])
+    assert played.lines == [line("error", "sensor", "driver") + line("of process", others)]
+    assert all(node.failed for node in played.fleet)
+
+
+@pytest.mark.parametrize(
+    ("graph", "names", "have"),
+    [("", "sensor", "has"), ('process = "all"', ", ".join(NAMES), "have")],
+)
+def test_a_node_that_is_silent_for_too_long_is_killed(stage, graph, names, have):
+    played = stage(f"{RESTART}\n{graph}")
+    played.run()
+    played.now_s += 9.9
+    for name in NAMES[1:]:
+        played.heartbeat(name)
+    played.fleet.serve()
+    assert played.lines == []
+    if graph:
+        played.now_s += 10.1
+    played.now_s += 0.2
+    played.fleet.serve()
+    assert played.node("sensor").process.signals == [signal.SIGKILL]
+    assert played.lines[0] == line("silent", names, have, 10)
+    assert not any("silent" in later for later in played.lines[1:])
+
+
+def test_a_node_that_starts_may_be_silent_for_long(stage):
+    played = stage(RESTART)
+    played.run()
+    played.node("sensor").ready = False
+    played.now_s += START_S - 0.1
+    for name in NAMES[1:]:
+        played.heartbeat(name)
+    played.fleet.serve()
+    assert played.lines == []
+    played.now_s += 0.2
+    played.fleet.serve()
+    assert played.lines == [line("silent", "sensor", "has", START_S)]
+
+
+def test_without_restarts_nobody_is_killed_for_being_silent(stage):
+    played = stage()
+    played.run()
+    played.now_s += 1000.0
+    played.fleet.serve()
+    assert played.lines == []
+
+
+def test_a_graph_that_is_ended_asks_then_signals_then_kills(stage):
+    played = stage()
+    played.run()
+    began_s = played.now_s
+    polite, deaf = played.node("compressor"), played.node("sensor")
+    polite.process.obeys |= {signal.SIGTERM}
+    for name in ("reconstructor", "monitor"):
+        played.node(name).process.code = 0
+    played.step_s = 0.1
+    played.fleet.end_all()
+    assert polite.process.signals == [signal.SIGTERM]
+    assert deaf.process.signals == [signal.SIGTERM, signal.SIGKILL]
+    assert played.lines == [
+        line("stubborn", "sensor", "SIGTERM"),
+        line("stubborn", "compressor", "SIGTERM"),
+        line("stubborn", "sensor", "SIGKILL"),
+    ]
+    assert played.commands("sensor") == ["stop"]
+    assert played.now_s - began_s >= 2 * GRACE_S
+    assert all(node.closed for node in played.fleet)
+
+
+def test_a_node_that_is_still_starting_is_ended_by_a_signal(stage):
+    played = stage()
+    played.fleet.spawn()
+    for node in played.fleet:
+        node.process.obeys |= {signal.SIGTERM}
+    played.fleet.end_all()
+    assert [node.process.signals for node in played.fleet] == [[signal.SIGTERM]] * 4
+    assert played.lines == []
+
+
+def test_the_state_of_a_graph_leaves_out_recorders_that_have_ended(stage):
+    played = stage()
+    played.run()
+    played.heartbeat("compressor", counts={"refused": {"a": 1, "b": 2}, "lost": {"/skin/skin": 4}})
+    played.fleet.serve()
+    state = graph_state(played.launch, played.fleet, None)
+    assert [node["name"] for node in state["nodes"]] == NAMES
+    compressor = state["nodes"][1]
+    assert compressor["refused"] == 3
+    assert compressor["lost"] == 4
+    assert compressor["condition"] == "running"
+    assert compressor["patch"] == "skin"
+    played.node("monitor").name = "live_recorder_1"
+    played.fleet.restarts["live_recorder_1"] = played.fleet.restarts["monitor"]
+    assert len(graph_state(played.launch, played.fleet, None)["nodes"]) == 4
+    played.node("monitor").ended = True
+    names = [node["name"] for node in graph_state(played.launch, played.fleet, None)["nodes"]]
+    assert names == NAMES[:3]
+
+
+def test_a_description_has_the_settings_of_the_node_that_is_asked_for(stage):
+    played = stage()
+    played.run()
+    described = graph_description(played.launch, played.fleet, None, "compressor")
+    with_settings = [node["name"] for node in described["nodes"] if "settings" in node]
+    assert with_settings == ["compressor"]
+    outputs = described["nodes"][1]["outputs"]
+    assert {"topic": "/skin/measurements", "latched": False, "sent": 0} in outputs
+    assert described["nodes"][1]["transport"] == "ipc"
+
+
+def test_at_the_end_each_late_node_is_named_with_those_that_it_waits_for(stage):
+    played = stage()
+    played.run()
+    played.node("sensor").ended = True
+    assert late_at_end(played.fleet, played.launch.links) == [
+        line("last", "compressor"),
+        line("late", "reconstructor", "compressor"),
+        line("late", "monitor", "compressor, reconstructor"),
+    ]
+
+
+def test_nothing_is_waited_for_once_a_node_runs(stage):
+    played = stage()
+    played.fleet.spawn()
+    compressor = played.node("compressor")
+    assert waits_for(compressor, played.launch) == line("imports", "compressor")
+    played.node("compressor").endpoint = "ipc:///x"
+    assert waits_for(compressor, played.launch) == line("no answer", "compressor")
+    played.node("compressor").ready = True
+    assert waits_for(played.node("compressor"), played.launch) == ""
+
+
+class Screen:
+    """A terminal whose keys the test presses."""
+
+    def __init__(self):
+        self.lines = []
+        self.keys = []
+        self.shown = ""
+
+    def log(self, line):
+        self.lines.append(line)
+
+    record = log
+
+    def status(self, text):
+        self.shown = text
+
+    def pressed(self):
+        keys, self.keys = self.keys, []
+        return keys
+
+
+@pytest.fixture
+def launcher(stage):
+    """A launcher of played nodes that run."""
+    played = stage()
+    screen = Screen()
+    played.launcher = Launcher(played.launch, screen, keys={"p": ("sensor", "pause")})
+    played.screen = screen
+    played.fleet = played.launcher._fleet
+    played.run()
+    return played
+
+
+def test_a_key_of_the_terminal_is_a_command_and_others_end_the_graph(launcher):
+    launcher.screen.keys = ["p", "x"]
+    launcher.launcher._serve()
+    assert launcher.commands("sensor") == ["pause"]
+    assert launcher.launcher._interrupts == 0
+    launcher.screen.keys = ["q"]
+    launcher.launcher._serve()
+    assert launcher.launcher._interrupts == 1
+    launcher.screen.keys = ["\x03"]
+    launcher.launcher._serve()
+    assert launcher.launcher._interrupts == 2
+
+
+def test_the_status_is_that_of_the_ends_of_the_graph(launcher):
+    for name in NAMES:
+        launcher.heartbeat(name, line=f"line of {name}")
+    launcher.launcher._serve()
+    assert launcher.screen.shown == "line of monitor"
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
+def test_a_signal_is_the_exit_code_unless_a_node_has_failed(launcher, number):
+    launcher.launcher._on_signal(number, None)
+    assert launcher.launcher._exit_code == 128 + number
+    launcher.launcher._on_signal(signal.SIGINT, None)
+    assert launcher.launcher._exit_code == 128 + number
+    assert launcher.launcher._interrupts == 2
+
+
+def test_a_signal_after_a_failure_leaves_its_exit_code(launcher):
+    launcher.die("compressor")
+    launcher.launcher._on_signal(signal.SIGINT, None)
+    assert launcher.launcher._exit_code == EXIT_FAILED
+
+
+def test_a_graph_that_drains_stops_its_sources_and_names_who_is_late(launcher):
+    launcher.step_s = 0.5
+    launcher.launcher._drain()
+    for node in launcher.fleet:
+        assert node.process.signals == [signal.SIGINT]
+    (drained,) = launcher.screen.lines
+    assert drained.startswith(line("drain", line("last", "sensor")))
+
+
+def test_one_who_interrupts_a_drain_is_told_nothing_more(launcher):
+    launcher.launcher._interrupts = 2
+    launcher.launcher._drain()
+    assert launcher.screen.lines == []
+
+
+def test_nodes_behind_one_that_is_dead_need_not_drain(launcher):
+    assert not launcher.launcher._all_drained()
+    launcher.node("sensor").ended = True
+    launcher.node("compressor").process.code = -9
+    assert launcher.launcher._all_drained()
+
+
+def test_a_summary_has_what_each_node_reports_and_counts(launcher):
+    launcher.says("monitor", "ended", counts={"refused": {}}, report={"n": 7}, clocks={})
+    launcher.fleet.serve()
+    summary = launcher.launcher.summary()
+    assert summary["nodes"]["monitor"]["n"] == 7
+    assert summary["nodes"]["monitor"]["type"] == "monitor"
+    assert summary["nodes"]["monitor"]["restarts"] == 0
+    assert summary["launch"] == launcher.launch.name
