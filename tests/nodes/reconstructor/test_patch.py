@@ -185,16 +185,6 @@ def test_a_budget_bounds_the_steps_and_its_time_is_stated(monkeypatch):
     assert bench.frame(FRAMES[5]).iterations == 7
 
 
-def test_measurements_that_lack_the_stated_noise_are_quiet():
-    bench = Bench()
-    untouched = noisy(np.zeros((80, *SHAPE), dtype=np.float32))
-    for readings in untouched[:50]:
-        assert bench.frame(readings).reason == ""
-    for readings in untouched[50:]:
-        solved = bench.frame(readings / 10)
-    assert solved.reason == Reason.QUIET
-
-
 def test_a_warning_is_logged_once():
     bench = Bench(solver="fista", basis="haar", iterations=5)
     (line,) = (line for line in bench.lines if line.startswith("iterations"))

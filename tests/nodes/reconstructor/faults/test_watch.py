@@ -260,11 +260,6 @@ def unclear(reasons):
     if Reason.RANGE in reasons:
         forces[3, 4] = 2 * F_MAX
     solver.trusted = Reason.ERROR not in reasons
-    if Reason.ROWS in reasons:
-        watch._rows_doubted = (0, 1)
-        watch._doubts = {"": np.ones(4, dtype=np.float32)}
-    watch._stuck.is_doubted = Reason.STUCK in reasons
-    watch._measured_noise.is_quiet = Reason.QUIET in reasons
     return watch, solver, forces
 
 
@@ -273,9 +268,6 @@ IN_ORDER = [
     Reason.CLIPPED,
     Reason.RANGE,
     Reason.ERROR,
-    Reason.ROWS,
-    Reason.STUCK,
-    Reason.QUIET,
 ]
 
 
@@ -284,14 +276,6 @@ def test_of_several_reasons_the_first_is_stated(reasons):
     watch, solver, forces = unclear(reasons)
     verdict = watch.look(solver, PHI, forces)
     assert verdict.reason == next((reason for reason in IN_ORDER if reason in reasons), "")
-
-
-@pytest.mark.parametrize(("doubt", "is_swamped"), [(0.24, False), (0.26, True)])
-def test_doubt_of_more_than_a_quarter_of_the_measurements_is_of_something_else(doubt, is_swamped):
-    watch, solver, forces = unclear([])
-    watch._rows_doubted = (0,)
-    watch._doubts = {"": np.full(100, doubt, dtype=np.float32)}
-    assert watch.look(solver, PHI, forces).reason == ("rows" if is_swamped else "")
 
 
 @pytest.mark.parametrize(
