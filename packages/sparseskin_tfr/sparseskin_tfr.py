@@ -15,10 +15,8 @@ from sparseskin.nodes.sensor.files.recording import (
     File,
     Parsed,
     WholeRecording,
-    check_number,
-    check_unit,
-    shown,
 )
+from sparseskin.nodes.sensor.layout.checks import check_number, check_unit, shown
 
 MAX_SIDE = 4096
 """Most rows or columns, chosen: a number of the file must not make a frame of any size."""
