@@ -32,10 +32,14 @@ FALSE_SENDS = 1e-4
 """False sends a frame and patch at rest. Chosen: one in 10,000."""
 BLOCK = 8
 """Least number of frames in a reference, and in the means that are compared with it. Chosen."""
-LEARNT = 8
-"""Most blocks in a reference, chosen: its noise then adds 1/64 to the variance of a reading."""
-FIRST_BLOCKS = 4
-"""Blocks that are sent first, chosen: no contact begins in the first three cycles of rows."""
+SENT = 32
+CYCLES = 8
+"""Frames, and cycles of the rows, that are sent at least once something has changed. Chosen: the
+solver finds weak contacts in the mean of so many."""
+LEARNT = 4
+"""Most sent blocks' frames in a reference, chosen: its noise adds 1/128 to the variance."""
+FIRST_BLOCKS = 2
+"""Blocks that are sent first. Chosen: no contact begins in the first three cycles of rows."""
 N_TESTS = 3
 """Tests that share the false sends: squares of a frame, squares of a block, energy of a frame."""
 
@@ -263,7 +267,7 @@ class ChangeWatch:
     """
 
     def __init__(self, n_patches: int, skin: SkinState, cycle: int = 1) -> None:
-        self.length = max(BLOCK, cycle)
+        self.length = max(SENT, CYCLES * cycle)
         self._bounds = NoiseBounds(skin, FALSE_SENDS / self.length / N_TESTS)
         shape = n_patches, skin.n_rows, skin.n_cols
         n_sums = self._bounds.squares.n

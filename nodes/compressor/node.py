@@ -271,15 +271,19 @@ class Compressor(Node[CompressorSettings]):
             yield self._learn_skin(message, message.stamp_ns)
         elif isinstance(message, Taxels):
             self._check_frame(message)
+            # Row subsets take turns, frame by frame, of those that are not sent, too.
+            phi = self._subsets[self._subset]
+            self._subset = (self._subset + 1) % len(self._subsets)
             patches = self._silence.to_send(message)
             if patches is not None:
-                yield self._compress(message, patches)
+                yield self._compress(message, phi, patches)
 
     def ended(self, topic: str, n_messages: int) -> Iterable[Message]:
         # Readers cannot count the frames of a silence that nothing ends.
         last = self._silence.end()
         if last is not None:
-            yield self._compress(last, np.ones(self.settings.n_patches, dtype=np.bool_))
+            phi = self._subsets[self._subset - 1]
+            yield self._compress(last, phi, np.ones(self.settings.n_patches, dtype=np.bool_))
 
     def change(self, settings: CompressorSettings) -> Iterable[Message]:
         old_settings = self.settings
@@ -393,17 +397,12 @@ class Compressor(Node[CompressorSettings]):
             return x
         return x[:, self._cells]
 
-    def _compress(self, taxels: Taxels, patches: Mask) -> Measurements:
+    def _compress(self, taxels: Taxels, phi: Phi, patches: Mask) -> Measurements:
         """Measurements of some patches of a frame, bool (n_patches,), one of them at least."""
         forces = taxels.forces
         if not patches.all():
             forces = forces[patches]
         x = self._existing(forces)
-        phi = self._subsets[self._subset]
-
-        # Row subsets take turns, from one frame that is sent to the next.
-        self._subset = (self._subset + 1) % len(self._subsets)
-
         fields: dict[str, Any] = {
             "stamp_ns": taxels.stamp_ns,
             "phi": phi.fingerprint,

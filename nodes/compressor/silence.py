@@ -33,6 +33,9 @@ class Silence:
         #: The last frame of which something was sent, and the last one of which all was.
         self._sent: Taxels | None = None
         self._whole_ns = 0
+        self._cycle = 1
+        #: Frames that are still to be sent after a silence, so that all rows are.
+        self._n_due = 0
         #: The last frame, if it was not sent.
         self._unsent: Taxels | None = None
 
@@ -45,8 +48,8 @@ class Silence:
 
     def begin(self, skin: SkinState, cycle: int, period_s: float | None) -> None:
         """Send all frames until nothing changes: of a skin that states its noise, with matrices
-        that read all rows in a `cycle` of frames. `period_s` is the longest silence, None: there
-        is none.
+        that read all rows in a `cycle` of frames. `period_s` is the longest silence, after
+        which a cycle is sent; None: there is none.
         """
         self._watch = None
         self._sent = None
@@ -55,6 +58,7 @@ class Silence:
 
             self._watch = ChangeWatch(self._n_patches, skin, cycle)
             self._period_ns = round(1e9 * period_s)
+            self._cycle = cycle
 
     def to_send(self, taxels: Taxels) -> Mask | None:
         """Patches of the next frame that are sent, bool (n_patches,); None: none is."""
@@ -63,6 +67,9 @@ class Silence:
             return self._all
         send = self._watch.to_send(taxels.forces)
         if self._is_due(taxels):
+            self._n_due = self._cycle
+        if self._n_due:
+            self._n_due -= 1
             send = self._all
 
         if not send.any():
