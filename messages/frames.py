@@ -252,8 +252,8 @@ class Measurements(Sensed):
     def split(self, last_forces: MutableMapping[str, Floats] | None = None) -> list[Self]:
         if not self.names or self.all_sent:
             return super().split(last_forces)
-        # Measurements that are sent are in the order of the patches that have changed; of the others
-        # there is no message, as of a patch that is served alone.
+        # Measurements that are sent are in the order of the patches that have changed; the others
+        # have no message, as a patch that is served alone has none.
         changed = [k for k, same in enumerate(self.unchanged) if not same]
         return [self._single(k, y=self.y[row : row + 1]) for row, k in enumerate(changed)]
 

@@ -25,19 +25,20 @@ from statistics import NormalDist
 import numpy as np
 
 from sparseskin.messages import SkinState
-from sparseskin.nodes.numerics.arrays import Doubles, Floats, Mask
+from sparseskin.nodes.numerics.arrays import Doubles, Floats, Indices, Mask
 from sparseskin.nodes.sensor.noise import CLIPPED, NoiseModel
 
 FALSE_SENDS = 1e-4
 """False sends a frame and patch at rest. Chosen: one in 10,000."""
 BLOCK = 8
-"""Least number of frames in a reference, and in the means that are compared with it. Chosen."""
+"""Frames in the means that are compared with the reference. Chosen."""
 SENT = 32
 CYCLES = 8
 """Frames, and cycles of the rows, that are sent at least once something has changed. Chosen: the
 solver finds weak contacts in the mean of so many."""
 LEARNT = 4
-"""Most sent blocks' frames in a reference, chosen: its noise adds 1/128 to the variance."""
+"""Sent blocks whose number of frames a reference has at most. Chosen: the noise of 128 frames adds
+1/128 to the variance of a reading."""
 FIRST_BLOCKS = 2
 """Blocks that are sent first. Chosen: no contact begins in the first three cycles of rows."""
 N_TESTS = 3
@@ -115,12 +116,13 @@ def energy_bound(n_touched: int, n_untouched: int, z: float) -> float:
     of_normal = -0.5 * np.log1p(-2 * scaled)
     cumulants = n_touched * of_normal + n_untouched * _K_SQUARE_CLIPPED
     if not n_untouched:
-        scaled, cumulants = t, n_touched * _K_SQUARE
+        scaled = t
+        cumulants = n_touched * _K_SQUARE
     return float(((cumulants + z * z / 2) / scaled).min())
 
 
 class Squares:
-    """Sums over the squares of 1, 2, 4 ... taxels a side of a grid, largest first level last.
+    """Sums over the squares of 1, 2, 4 ... taxels a side of a grid, the smallest ones first.
 
     `levels`: side of a square in taxels of each level; `spans`: its slice of the sums.
     """
@@ -158,17 +160,13 @@ class Squares:
 
 def _pooled(grids: Floats) -> Floats:
     """Sums of two by two neighbours, (k, rows, cols) to half of them, rounded up."""
-    for axis in (1, 2):
-        if grids.shape[axis] == 1:
-            continue
-        even = (slice(None),) * axis + (slice(0, None, 2),)
-        odd = (slice(None),) * axis + (slice(1, None, 2),)
-        halves = grids[even].copy()
-        # The last row of an odd number has no neighbour.
-        paired = (slice(None),) * axis + (slice(0, grids.shape[axis] // 2),)
-        halves[paired] += grids[odd]
-        grids = halves
-    return grids
+    _, n_rows, n_cols = grids.shape
+    # A last row or column of an odd number has no neighbour.
+    if n_rows % 2 or n_cols % 2:
+        grids = np.pad(grids, ((0, 0), (0, n_rows % 2), (0, n_cols % 2)))
+    rows = grids[:, ::2] + grids[:, 1::2]
+    pooled: Floats = rows[:, :, ::2] + rows[:, :, 1::2]
+    return pooled
 
 
 @dataclass
@@ -249,7 +247,8 @@ class ChangeWatch:
 
     A patch that changes is sent for a block of frames at least, until the two halves of a block
     agree; that block is the reference of the frames that follow. Each of these is compared with
-    it, and so is the mean of each `BLOCK` of them, which joins the reference if it agrees.
+    it, and so is the mean of each `BLOCK` of them, which joins the reference if it agrees. Sums over
+    the squares have a third of the false sends for frames, and for blocks, the energy another one.
 
     Parameters
     ----------
@@ -277,7 +276,7 @@ class ChangeWatch:
         self._reference = np.zeros(shape, dtype=np.float32)
         self._n = np.full(n_patches, self.length)
         self._total = np.zeros(shape, dtype=np.float32)
-        self._first_half = np.zeros(shape, dtype=np.float32)
+        self._half_total = np.zeros(shape, dtype=np.float32)
         self._k = np.zeros(n_patches, dtype=np.intp)
         self._of = Bounds(
             np.zeros((n_patches, n_sums), dtype=np.float32),
@@ -299,13 +298,13 @@ class ChangeWatch:
         self._k += 1
         halves = np.flatnonzero(self.sending & (self._k == self.length // 2))
         if halves.size:
-            self._first_half[halves] = self._total[halves]
+            self._half_total[halves] = self._total[halves]
         ends = self._k == np.where(self.sending, self.length, BLOCK)
-        for patch in np.flatnonzero(ends).tolist():
-            if self.sending[patch]:
-                self._end_sent(patch)
-            else:
-                send[patch] |= self._end_quiet(patch, readings[patch])
+        quiet = np.flatnonzero(ends & ~self.sending)
+        for patch in np.flatnonzero(ends & self.sending).tolist():
+            self._end_sent(patch)
+        if quiet.size:
+            send[self._end_quiet(quiet, readings)] = True
         return send
 
     def _begin(self, patches: Mask) -> None:
@@ -328,18 +327,22 @@ class ChangeWatch:
         departs: Mask = by_sums | (energy > self._of.energy * widened)
         return departs & ~self.sending
 
-    def _exceeds(self, patch: int, difference: Floats, variance: float) -> bool:
-        """True if the difference of two means, of a variance in that of a reading, is no noise."""
-        sums = self._bounds.squares.sums(difference[np.newaxis])
-        return bool((np.abs(sums) > self._of.block[patch] * math.sqrt(variance)).any())
+    def _exceed(self, patches: Indices, differences: Floats, variances: Doubles) -> Mask:
+        """True where the difference of two means, of a variance in that of a reading, is no noise:
+        of some patches, (k, n_rows, n_cols) and (k,) to bool (k,).
+        """
+        sums = self._bounds.squares.sums(differences)
+        limits = self._of.block[patches] * np.sqrt(variances).astype(np.float32)[:, np.newaxis]
+        exceed: Mask = (np.abs(sums, out=sums) > limits).any(axis=1)
+        return exceed
 
     def _end_sent(self, patch: int) -> None:
         """End a block that was sent: it is the reference, if its halves agree."""
         length = self.length
         half = length // 2
         mean = self._total[patch] / length
-        first = self._first_half[patch] / half
-        second = (self._total[patch] - self._first_half[patch]) / (length - half)
+        early = self._half_total[patch] / half
+        late = (self._total[patch] - self._half_total[patch]) / (length - half)
         self._blocks[patch] -= 1
         self._total[patch] = 0.0
         self._k[patch] = 0
@@ -349,26 +352,32 @@ class ChangeWatch:
         self._of.block[patch] = bounds.block
         self._of.weights[patch] = bounds.weights
         self._of.energy[patch] = bounds.energy[0]
-        if self._blocks[patch] <= 0 and not self._exceeds(patch, second - first, 4 / length):
+        if self._blocks[patch] > 0:
+            return
+        difference = (late - early)[np.newaxis]
+        if not self._exceed(np.array([patch]), difference, np.array([4 / length]))[0]:
             self._reference[patch] = mean
             self._n[patch] = length
             self.sending[patch] = False
 
-    def _end_quiet(self, patch: int, readings: Floats) -> bool:
-        """End a block that was not sent: it joins the reference, or the patch is sent from this
-        frame on, which is then returned as True.
+    def _end_quiet(self, patches: Indices, readings: Floats) -> Indices:
+        """End a block of some patches that was not sent: it joins the reference, or the patch is
+        sent from this frame on. Returns the patches that are.
         """
-        difference = self._total[patch] / BLOCK - self._reference[patch]
-        n = int(self._n[patch])
-        self._total[patch] = 0.0
-        self._k[patch] = 0
-        if self._exceeds(patch, difference, 1 / BLOCK + 1 / n):
-            self.sending[patch] = True
-            self._blocks[patch] = 1
-            self._total[patch] = readings
-            self._k[patch] = 1
-            return True
-        if n < LEARNT * self.length:
-            self._reference[patch] += difference * np.float32(BLOCK / (n + BLOCK))
-            self._n[patch] = n + BLOCK
-        return False
+        differences = self._total[patches] / np.float32(BLOCK) - self._reference[patches]
+        n = self._n[patches]
+        self._total[patches] = 0.0
+        self._k[patches] = 0
+
+        exceed = self._exceed(patches, differences, 1 / BLOCK + 1 / n)
+        begin = patches[exceed]
+        self.sending[begin] = True
+        self._blocks[begin] = 1
+        self._total[begin] = readings[begin]
+        self._k[begin] = 1
+
+        joins = ~exceed & (n < LEARNT * self.length)
+        share = (BLOCK / (n[joins] + BLOCK)).astype(np.float32)
+        self._reference[patches[joins]] += differences[joins] * share[:, np.newaxis, np.newaxis]
+        self._n[patches[joins]] += BLOCK
+        return begin

@@ -280,10 +280,10 @@ class Compressor(Node[CompressorSettings]):
 
     def ended(self, topic: str, n_messages: int) -> Iterable[Message]:
         # Readers cannot count the frames of a silence that nothing ends.
-        last = self._silence.end()
-        if last is not None:
+        unsent = self._silence.end()
+        if unsent is not None:
             phi = self._subsets[self._subset - 1]
-            yield self._compress(last, phi, np.ones(self.settings.n_patches, dtype=np.bool_))
+            yield self._compress(unsent, phi, np.ones(self.settings.n_patches, dtype=np.bool_))
 
     def change(self, settings: CompressorSettings) -> Iterable[Message]:
         old_settings = self.settings

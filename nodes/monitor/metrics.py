@@ -153,7 +153,7 @@ class PatchMetrics:
         self._sensed = TopicCount(late)
         self._reconstructed = TopicCount(late)
         self._quiet = QuietCount(late)
-        self._held: Reconstruction | None = None
+        self._previous: Reconstruction | None = None
         # Frames sensed before the first that a late subscriber can compare.
         self._n_before = 0
         self._pending: OrderedDict[int, FrameMetrics] = OrderedDict()
@@ -296,18 +296,18 @@ class PatchMetrics:
     def _add_quiet(self, message: Reconstruction) -> None:
         """Compare the frames before this one that were not sent with the forces that they kept."""
         n_quiet = self._quiet.add(message.quiet)
-        held = self._held
-        self._held = message
-        if not n_quiet or held is None or self.skin is None:
+        previous = self._previous
+        self._previous = message
+        if not n_quiet or previous is None or self.skin is None:
             return
-        between = [ns for ns in self._pending if held.stamp_ns < ns < message.stamp_ns]
+        between = [ns for ns in self._pending if previous.stamp_ns < ns < message.stamp_ns]
         # Of a long silence the first ones were dropped.
         self.unpaired -= min(self.unpaired, max(0, n_quiet - len(between)))
         if len(between) > n_quiet:
             return  # some were lost, nobody knows which
         for stamp_ns in between:
             frame = self._pending.pop(stamp_ns)
-            self._compare(frame, held, self.skin)
+            self._compare(frame, previous, self.skin)
 
     def _latency_ns(self, message: Reconstruction) -> int | None:
         """Time from acquisition to reconstruction; None where it is unknown."""

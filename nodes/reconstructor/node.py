@@ -328,17 +328,18 @@ class Reconstructor(Node[ReconstructorSettings]):
     def _pass_silence(self, measurements: Measurements) -> None:
         """Let the frames that were not sent since the last message pass for the contacts."""
         n_quiet = measurements.quiet
-        last = self._last_measured
-        if last is not None and last.run_id == measurements.run_id:
-            n_quiet -= last.quiet
-        elif last is None:
-            n_quiet = 0
+        previous = self._last_measured
         self._last_measured = measurements
-        if last is None or n_quiet <= 0:
+        if previous is None:
+            return
+        # Another run of the compressor counts from 0.
+        if previous.run_id == measurements.run_id:
+            n_quiet -= previous.quiet
+        if n_quiet <= 0:
             return
         # The first frame after a silence came one period after its last one.
-        elapsed_ns = measurements.stamp_ns - last.stamp_ns
-        until_ns = last.stamp_ns + elapsed_ns * n_quiet // (n_quiet + 1)
+        elapsed_ns = measurements.stamp_ns - previous.stamp_ns
+        until_ns = previous.stamp_ns + elapsed_ns * n_quiet // (n_quiet + 1)
         for patch in self._patches:
             patch.pass_silence(until_ns)
 

@@ -125,9 +125,7 @@ def test_a_contact_begins_in_the_same_frame_as_without(seed, force, place, ratio
     for quiet in (None, 10.0):
         edge = Edge(quiet=quiet, ratio=ratio)
         edge.rng = np.random.default_rng(seed)
-        host = Reconstructor(
-            Reconstructor.Settings(contacts=True), Context("host", ManualClock(1))
-        )
+        host = Reconstructor(Reconstructor.Settings(contacts=True), Context("host", ManualClock(1)))
         messages = [edge.state, *edge.phi]
         for k in range(110):
             messages += edge.frame(truth if k >= 95 else 0 * truth)
@@ -183,9 +181,7 @@ def test_of_several_patches_only_those_that_change_are_sent():
 
 @pytest.mark.parametrize("n_lost", [0, 3])
 def test_frames_and_losses_are_counted_exactly(n_lost):
-    bus = chain(
-        sensor={"source": "scene:path_40"}, compressor={"quiet": 0.05}, monitor={}
-    )
+    bus = chain(sensor={"source": "scene:path_40"}, compressor={"quiet": 0.05}, monitor={})
     monitor = bus.hosts["monitor"]
     node = bus.hosts["reconstructor"].node
     step = node.step
