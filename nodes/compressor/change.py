@@ -247,8 +247,8 @@ class ChangeWatch:
 
     A patch that changes is sent for a block of frames at least, until the two halves of a block
     agree; that block is the reference of the frames that follow. Each of these is compared with
-    it, and so is the mean of each `BLOCK` of them, which joins the reference if it agrees. Sums over
-    the squares have a third of the false sends for frames, and for blocks, the energy another one.
+    it, and so is the mean of each `BLOCK` of them, which joins the reference if it agrees. The sums
+    of a frame, those of a block and the energy have a third of the false sends each.
 
     Parameters
     ----------
@@ -376,7 +376,7 @@ class ChangeWatch:
         self._total[begin] = readings[begin]
         self._k[begin] = 1
 
-        joins = ~exceed & (n < LEARNT * self.length)
+        joins: Mask = np.logical_not(exceed) & (n < LEARNT * self.length)
         share = (BLOCK / (n[joins] + BLOCK)).astype(np.float32)
         self._reference[patches[joins]] += differences[joins] * share[:, np.newaxis, np.newaxis]
         self._n[patches[joins]] += BLOCK

@@ -93,19 +93,19 @@ class QuietCount:
 
     late: bool = False
     total: int = 0
-    _last: int | None = None
+    _n_of_run: int | None = None
 
     def add(self, n_of_run: int) -> int:
         """Count those of the present run; return how many are new."""
-        before = self._last
-        if before is None and self.late:
-            before = n_of_run
+        n_counted = self._n_of_run
+        if n_counted is None and self.late:
+            n_counted = n_of_run
         # Another run begins with 0.
-        if before is None or n_of_run < before:
-            before = 0
-        self._last = n_of_run
-        self.total += n_of_run - before
-        return n_of_run - before
+        if n_counted is None or n_of_run < n_counted:
+            n_counted = 0
+        self._n_of_run = n_of_run
+        self.total += n_of_run - n_counted
+        return n_of_run - n_counted
 
 
 @dataclass
