@@ -150,6 +150,9 @@ class Sensed(Frames):
     reason: tuple[str, ...] = omitted(REASONS, ())
     """Why a patch is not trusted: a `Reason`, or a word that another version of this program wrote;
     "" else, or not stated. What the sensor states of its readings goes on with the frame."""
+    quiet: int = omitted(Integer(), 0)
+    """Number of frames so far, of this run of the compressor, that it did not send because nothing
+    had changed."""
 
     def validate(self) -> None:
         super().validate()
@@ -213,6 +216,8 @@ class Measurements(Sensed):
     taxels read, where the edge chooses them anew each frame: one bit for each existing taxel, the
     highest bit first, uint8, shape (N / 8,), rounded up. `nodes` states the nodes of a quad tree
     that are measured, where the edge chooses those anew: uint8, as the tree codes them.
+
+    Of patches that are `unchanged`, y is left out: nothing has changed since it was sent last.
     """
 
     schema: ClassVar[str] = "measurements"
@@ -221,6 +226,7 @@ class Measurements(Sensed):
     phi: str = wire(Text(16, FINGERPRINT_PATTERN))
     places: Bytes | None = omitted(BITS)
     nodes: Bytes | None = omitted(BITS)
+    unchanged: tuple[bool, ...] = omitted(UNCHANGED, ())
 
     def validate(self) -> None:
         super().validate()
@@ -234,6 +240,22 @@ class Measurements(Sensed):
         n_places = int(np.unpackbits(self.places).sum())
         if n_places != self.y.shape[1]:
             raise ShapeError(f"places: {n_places} of them for {self.y.shape[1]} measurements")
+
+    def _may_have(self, name: str, n_rows: int) -> bool:
+        return name == "y" and n_rows == self.unchanged.count(False)
+
+    @property
+    def all_sent(self) -> bool:
+        """True if y holds the measurements of all patches."""
+        return len(self.y) == len(self.patches)
+
+    def split(self, last_forces: MutableMapping[str, Floats] | None = None) -> list[Self]:
+        if not self.names or self.all_sent:
+            return super().split(last_forces)
+        # Measurements that are sent are in the order of the patches that have changed; the others
+        # have no message, as a patch that is served alone has none.
+        changed = [k for k, same in enumerate(self.unchanged) if not same]
+        return [self._single(k, y=self.y[row : row + 1]) for row, k in enumerate(changed)]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -36,11 +36,12 @@ from sparseskin.nodes.compressor.phi.rotation import (
 )
 from sparseskin.nodes.errors import PhiError, RefusedError, SettingsError
 from sparseskin.nodes.node import Context, Node
-from sparseskin.nodes.numerics.arrays import Floats
+from sparseskin.nodes.numerics.arrays import Floats, Mask
 from sparseskin.nodes.numerics.compiled import use_compiled
 from sparseskin.nodes.settings import PatchesSettings, naming, setting
 
 from .quantiser import quantised
+from .silence import Silence
 
 # Measured on the six scenes by the study `stability`.
 MAX_RATIO = 16.0
@@ -98,6 +99,15 @@ class CompressorSettings(PatchesSettings):
         high=2**20,
     )
     seed: int = setting(0, "seed of the measurement matrix", low=0, high=2**32 - 1)
+    quiet: float | None = setting(
+        None,
+        "longest silence, in seconds of the frames' stamps: while the readings of a patch depart "
+        "from those sent last by no more than the noise that the skin states, no more of its "
+        "frames are sent; not stated: every frame is sent",
+        low=1e-3,
+        high=3600.0,
+        live=True,
+    )
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -224,6 +234,7 @@ class Compressor(Node[CompressorSettings]):
         #: The first message by a matrix: those of later frames are like it.
         self._first: Measurements | None = None
         self._cells: np.ndarray[tuple[int], np.dtype[np.intp]] | None = None
+        self._silence = Silence(settings.n_patches)
 
     @classmethod
     def inputs(cls, settings: CompressorSettings) -> tuple[str, ...]:
@@ -259,16 +270,31 @@ class Compressor(Node[CompressorSettings]):
         if isinstance(message, SkinState):
             yield self._learn_skin(message, message.stamp_ns)
         elif isinstance(message, Taxels):
-            yield self._compress(message)
+            self._check_frame(message)
+            # Row subsets take turns, frame by frame, of those that are not sent, too.
+            phi = self._subsets[self._subset]
+            self._subset = (self._subset + 1) % len(self._subsets)
+            patches = self._silence.to_send(message)
+            if patches is not None:
+                yield self._compress(message, phi, patches)
+
+    def ended(self, topic: str, n_messages: int) -> Iterable[Message]:
+        # Readers cannot count the frames of a silence that nothing ends.
+        unsent = self._silence.end()
+        if unsent is not None:
+            phi = self._subsets[self._subset - 1]
+            yield self._compress(unsent, phi, np.ones(self.settings.n_patches, dtype=np.bool_))
 
     def change(self, settings: CompressorSettings) -> Iterable[Message]:
         old_settings = self.settings
         self.settings = settings
         if self._state is None:
             return ()
-        is_same_phi = replace(settings, bits=old_settings.bits) == old_settings
-        if is_same_phi and self._subsets:
+        is_same_phi = replace(settings, bits=old_settings.bits, quiet=old_settings.quiet)
+        if is_same_phi == old_settings and self._subsets:
             self._warn(self._subsets[0])
+            if settings.quiet != old_settings.quiet:
+                self._listen()
             return ()
         try:
             return (self._learn_skin(self._state, self.context.clock.now_ns()),)
@@ -283,6 +309,7 @@ class Compressor(Node[CompressorSettings]):
             state["n"] = self._subsets[0].n
         state["bits"] = self.settings.bits
         state["rows"] = self._rows
+        state["quiet"] = self._silence.n_quiet
         return state
 
     def status(self) -> str:
@@ -292,6 +319,8 @@ class Compressor(Node[CompressorSettings]):
         text = f"{phi.kind} {phi.m} x {phi.n}"
         if len(self._subsets) > 1:
             text += ", rotating rows"
+        if self._silence.n_quiet:
+            text += f", {self._silence.n_quiet} quiet"
         return text
 
     def _learn_skin(self, state: SkinState, stamp_ns: int) -> PhiState:
@@ -314,6 +343,7 @@ class Compressor(Node[CompressorSettings]):
         self._cells = None
         if state.mask is not None:
             self._cells = np.flatnonzero(state.mask)
+        self._listen()
 
         block, rule = settings.block_and_rule()
         return PhiState(
@@ -329,43 +359,57 @@ class Compressor(Node[CompressorSettings]):
             rule=rule,
         )
 
+    def _listen(self) -> None:
+        """Begin to look for changes, if the settings ask for it and the skin states its noise."""
+        period_s = self.settings.quiet
+        assert self._state is not None
+        if period_s is not None and not self._state.sigma_end:
+            self.context.log(
+                "quiet: every frame is sent, as the skin states no noise to tell changes from; "
+                "allowed: to state the sensor's noise, or to leave quiet out"
+            )
+            period_s = None
+        self._silence.begin(self._state, len(self._subsets), period_s)
+
     def _warn(self, phi: Phi) -> None:
         settings = self.settings
         warnings = compression_warnings(settings.phi, phi.n, phi.m, phi.block, settings.bits)
         for warning in warnings:
             self.context.log(warning)
 
-    def _existing(self, taxels: Taxels) -> Floats:
-        """Readings of the taxels that exist: float32, shape (n_patches, n)."""
+    def _check_frame(self, taxels: Taxels) -> None:
+        """Raise RefusedError unless a frame is one of the skin that is known."""
         if self._state is None:
             raise RefusedError(f"{taxels.topic}: the skin is not known yet")
         if taxels.names != self.settings.patches:
             raise RefusedError(f"{taxels.topic}: of other patches than this node serves")
-        forces = taxels.forces
 
         skin_shape = (self._state.n_rows, self._state.n_cols)
-        frame_shape = forces.shape[1:]
+        frame_shape = taxels.forces.shape[1:]
         if frame_shape != skin_shape:
             fault = f"forces of shape {frame_shape}, but the skin has {skin_shape}"
             raise RefusedError(f"{taxels.topic}: {fault}")
 
+    def _existing(self, forces: Floats) -> Floats:
+        """Readings of the taxels that exist: float32, (k, n_rows, n_cols) to (k, n)."""
         x = forces.reshape(len(forces), -1)
         if self._cells is None:
             return x
         return x[:, self._cells]
 
-    def _compress(self, taxels: Taxels) -> Measurements:
-        x = self._existing(taxels)
-        phi = self._subsets[self._subset]
-
-        # Row subsets take turns, frame by frame.
-        self._subset = (self._subset + 1) % len(self._subsets)
-
+    def _compress(self, taxels: Taxels, phi: Phi, patches: Mask) -> Measurements:
+        """Measurements of some patches of a frame, bool (n_patches,), one of them at least."""
+        forces = taxels.forces
+        if not patches.all():
+            forces = forces[patches]
+        x = self._existing(forces)
         fields: dict[str, Any] = {
             "stamp_ns": taxels.stamp_ns,
             "phi": phi.fingerprint,
             "missing": taxels.missing,
             "reason": taxels.reason,
+            "quiet": self._silence.n_frames,
+            "unchanged": tuple((~patches).tolist()),
         }
         # A Phi that chooses its rows for each frame sends the choice along.
         choice = phi_fact(phi, "choice")

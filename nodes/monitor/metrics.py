@@ -86,6 +86,29 @@ def _trust_summary(trusted: Extent) -> dict[str, Any] | None:
 
 
 @dataclass
+class QuietCount:
+    """Number of frames that compressors did not send as nothing had changed, over all their runs.
+    `late` as of `TopicCount`.
+    """
+
+    late: bool = False
+    total: int = 0
+    _n_of_run: int | None = None
+
+    def add(self, n_of_run: int) -> int:
+        """Count those of the present run; return how many are new."""
+        n_counted = self._n_of_run
+        if n_counted is None and self.late:
+            n_counted = n_of_run
+        # Another run begins with 0.
+        if n_counted is None or n_of_run < n_counted:
+            n_counted = 0
+        self._n_of_run = n_of_run
+        self.total += n_of_run - n_counted
+        return n_of_run - n_counted
+
+
+@dataclass
 class FrameMetrics:
     """Messages of one frame, and its figures once it is complete; unknown ones are nan.
 
@@ -129,6 +152,8 @@ class PatchMetrics:
         self._sensed_schema = Taxels.schema
         self._sensed = TopicCount(late)
         self._reconstructed = TopicCount(late)
+        self._quiet = QuietCount(late)
+        self._previous: Reconstruction | None = None
         # Frames sensed before the first that a late subscriber can compare.
         self._n_before = 0
         self._pending: OrderedDict[int, FrameMetrics] = OrderedDict()
@@ -168,6 +193,11 @@ class PatchMetrics:
         return self._sensed.total - self._n_before
 
     @property
+    def quiet(self) -> int:
+        """Number of frames that were not sent to be reconstructed, as nothing had changed."""
+        return self._quiet.total
+
+    @property
     def reconstructed(self) -> int:
         """Number of reconstructed frames."""
         return self._reconstructed.total
@@ -179,7 +209,16 @@ class PatchMetrics:
         """
         if self._late and not self._reconstructed.ended:
             return self.lost_so_far
-        return max(0, self.sensed - self.reconstructed - self.skipped)
+        return max(0, self.sensed - self._answered)
+
+    @property
+    def _answered(self) -> int:
+        """Number of sensed frames that were reconstructed, or not on purpose."""
+        answered = self.reconstructed + self.skipped
+        # Where frames are measured outside the graph, a quiet one is none of its.
+        if self._sensed_schema == Taxels.schema:
+            answered += self.quiet
+        return answered
 
     def add(self, message: Message) -> FrameMetrics | None:
         """Add one message of the patch alone; return the frame that it completes, if any."""
@@ -241,6 +280,7 @@ class PatchMetrics:
         if self.reconstructed or not self._late:
             self.skipped += message.skipped
 
+        self._add_quiet(message)
         frame = self._pair(message.stamp_ns)
         frame.reconstruction = message
         solve_ns = message.solve_ns[0]
@@ -251,7 +291,23 @@ class PatchMetrics:
             frame.latency_ms = self.latency_ns / 1e6
 
         self._reconstructed.admit(message)
-        frame.n_answered = self.reconstructed + self.skipped
+        frame.n_answered = self._answered
+
+    def _add_quiet(self, message: Reconstruction) -> None:
+        """Compare the frames before this one that were not sent with the forces that they kept."""
+        n_quiet = self._quiet.add(message.quiet)
+        previous = self._previous
+        self._previous = message
+        if not n_quiet or previous is None or self.skin is None:
+            return
+        between = [ns for ns in self._pending if previous.stamp_ns < ns < message.stamp_ns]
+        # Of a long silence the first ones were dropped.
+        self.unpaired -= min(self.unpaired, max(0, n_quiet - len(between)))
+        if len(between) > n_quiet:
+            return  # some were lost, nobody knows which
+        for stamp_ns in between:
+            frame = self._pending.pop(stamp_ns)
+            self._compare(frame, previous, self.skin)
 
     def _latency_ns(self, message: Reconstruction) -> int | None:
         """Time from acquisition to reconstruction; None where it is unknown."""
@@ -394,6 +450,7 @@ class PatchMetrics:
                 "sensed": self.sensed,
                 "reconstructed": self.reconstructed,
                 "skipped": self.skipped,
+                "quiet": self.quiet,
                 "lost": self.lost,
                 "unpaired": n_unpaired,
             },

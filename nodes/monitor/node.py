@@ -341,8 +341,10 @@ def _published_frames(
     if again:
         published["reconstructed"] = counts_of[answered]["published"][answered]
         published["skipped"] = counts_of[answered]["skipped"].get(measured, 0)
-    n_lost = published["sensed"] - published["reconstructed"] - published["skipped"]
-    published["lost"] = max(0, n_lost)
+    n_answered = published["reconstructed"] + published["skipped"]
+    if sensed == taxels:
+        n_answered += published.get("quiet", 0)
+    published["lost"] = max(0, published["sensed"] - n_answered)
     return published
 
 

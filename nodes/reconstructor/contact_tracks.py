@@ -183,6 +183,13 @@ class ContactTracker:
         self._apart = {merged: parts for merged, parts in self._apart.items() if merged in ids}
         return Followed(self._fields(regions.sums), events)
 
+    def rest(self, until_ns: int) -> None:
+        """Let contacts rest where they are until a stamp."""
+        elapsed_s = max(0.0, 1e-9 * (until_ns - self._last_ns))
+        self._last_ns = until_ns
+        self._tracks.age_s += elapsed_s
+        self._tracks.velocities *= math.exp(-elapsed_s / SMOOTHING_S)
+
     def _end(self) -> Followed | None:
         """The end of all contacts; None if there were none."""
         ended = self._tracks.ids

@@ -69,6 +69,7 @@ class Reconstructor(Node[ReconstructorSettings]):
         self._announced: PhiState | None = None
         self._subsets: dict[str, Phi] = {}
         self._skipped = 0
+        self._last_measured: Measurements | None = None
         #: The first message of a solver: those of later frames are like it.
         self._first: Reconstruction | None = None
         self._names = settings.patches or (settings.patch,)
@@ -273,6 +274,7 @@ class Reconstructor(Node[ReconstructorSettings]):
 
         yield self._reconstruction(measurements, unchanged, done_ns)
         self._skipped = 0
+        self._pass_silence(measurements)
         if self.settings.contacts:
             yield self._contacts(measurements)
 
@@ -290,18 +292,54 @@ class Reconstructor(Node[ReconstructorSettings]):
         if all_y.flags.writeable:  # of a sender in this process, which may write to it again
             all_y = all_y.copy()
 
-        unchanged = [False] * len(patches)
-        if self._idle is not None:
-            to_solve = self._idle.to_solve(phi.fingerprint, all_y)
-            for k, patch in enumerate(patches):
-                unchanged[k] = not to_solve[k] and patch.solved is not None
+        sent = list(range(len(patches)))
+        if not measurements.all_sent:
+            sent = [k for k, same in enumerate(measurements.unchanged) if not same]
+            self._rest(measurements)
 
-        for patch, same, y in zip(patches, unchanged, all_y, strict=True):
-            if same:
-                patch.keep(phi, y)
-            else:
+        # What the compressor sends of a few patches alone has changed.
+        to_solve = [True] * len(sent)
+        if self._idle is not None and measurements.all_sent:
+            to_solve = self._idle.to_solve(phi.fingerprint, all_y).tolist()
+        unchanged = [True] * len(patches)
+        for k, y, solves in zip(sent, all_y, to_solve, strict=True):
+            patch = patches[k]
+            if solves or patch.solved is None:
+                unchanged[k] = False
                 patch.read(phi, y)
+            else:
+                patch.keep(phi, y)
         return unchanged
+
+    def _rest(self, measurements: Measurements) -> None:
+        """Keep the last forces of the patches whose measurements were not sent."""
+        resting = [p for p, same in zip(self._patches, measurements.unchanged, strict=True) if same]
+        for patch in resting:
+            if patch.solved is None:
+                raise RefusedError(
+                    f"{measurements.topic}: a patch is quiet that has sent no measurements yet; "
+                    "it does once its silence ends"
+                )
+        for patch in resting:
+            patch.rest()
+
+    def _pass_silence(self, measurements: Measurements) -> None:
+        """Let the frames that were not sent since the last message pass for the contacts."""
+        n_quiet = measurements.quiet
+        previous = self._last_measured
+        self._last_measured = measurements
+        if previous is None:
+            return
+        # Another run of the compressor counts from 0.
+        if previous.run_id == measurements.run_id:
+            n_quiet -= previous.quiet
+        if n_quiet <= 0:
+            return
+        # The first frame after a silence came one period after its last one.
+        elapsed_ns = measurements.stamp_ns - previous.stamp_ns
+        until_ns = previous.stamp_ns + elapsed_ns * n_quiet // (n_quiet + 1)
+        for patch in self._patches:
+            patch.pass_silence(until_ns)
 
     def _reconstruction(
         self, measurements: Measurements, unchanged: list[bool], done_ns: int
@@ -324,6 +362,7 @@ class Reconstructor(Node[ReconstructorSettings]):
             "forces": forces,
             "phi": measurements.phi,
             "missing": measurements.missing,
+            "quiet": measurements.quiet,
             "iterations": iterations,
             "residual": residuals,
             "solve_ns": solve_ns,

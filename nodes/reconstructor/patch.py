@@ -284,6 +284,17 @@ class Patch:
         reason = self.faults.glance(phi, y) or self._reason(self._found)
         self.solved = self.solved._replace(iterations=0, solve_ns=0, reason=reason)
 
+    def rest(self) -> None:
+        """Take the last frame for one whose measurements were not sent, as nothing changed."""
+        assert self.solved is not None
+        reason = self._reason(self._found)
+        self.solved = self.solved._replace(iterations=0, solve_ns=0, reason=reason)
+
+    def pass_silence(self, until_ns: int) -> None:
+        """Let the time until a stamp pass in which nothing was sent, as nothing changed."""
+        if self._tracker is not None:
+            self._tracker.rest(until_ns)
+
     def contacts(self, stamp_ns: int) -> Followed | None:
         """Contacts of the frame that was published last; None: there are none."""
         if self._tracker is None or self.solved is None:

@@ -27,6 +27,7 @@ from sparseskin.studies.report import Page, cells, markdown
 
 from . import beside, latency, processes
 from .bodies import time_body
+from .quiet import QUIET_S, WAYS, time_quiet
 
 SIDES, QUICK_SIDES = (20, 40, 64, 128), (20, 40)
 PATCH_SIDE, PATCHES, QUICK_PATCHES, IDLE = 64, (1, 4, 16, 64, 244), (1, 4), 0.9
@@ -45,7 +46,8 @@ def run(out: Path, quick: bool, seed: int, executor: str) -> list[str]:
     """
     page = Page(out, "speed", Path(__file__).with_name("notes.md"), quick)
     page.section("", cores=len(os.sched_getaffinity(0)))
-    lines = [*solvers(page, quick, seed), bodies(page, quick, seed), *stages(page, quick, seed)]
+    lines = [*solvers(page, quick, seed), bodies(page, quick, seed)]
+    lines += [quiet_body(page, quick, seed), *stages(page, quick, seed)]
     lines += beside_lean(page, quick, seed)
     lines += shared_processes(page, quick, seed)
     page.write(lines)
@@ -114,6 +116,31 @@ def bodies(page: Page, quick: bool, seed: int) -> str:
         f"{links:.0f} gigabit links in place of {RATIO * links:.0f}."
     )
     page.section("Bodies of many patches", table, line, side=PATCH_SIDE)
+    return line
+
+
+def quiet_body(page: Page, quick: bool, seed: int) -> str:
+    """A body of which one patch is touched, by three ways to send it."""
+    size = {"patches": 16 if quick else 64, "side": 16, "n_frames": 100 if quick else 2000}
+    points = [{"way": way, **size, "seed": seed} for way in WAYS]
+    rows = pd.DataFrame(compute_rows(time_quiet, points, page.out, TIMED_ON, "quiet"))
+    page.csv("quiet", rows)
+    names = ("all frames", "quiet", "single taxels that change")
+    table = pd.DataFrame(
+        {
+            "sent": names,
+            "bytes a frame": cells(rows, "{bytes:,.0f}"),
+            "edge, us a frame": cells(rows, "{edge_us:.0f}"),
+            "host, us a frame": cells(rows, "{host_us:.0f}"),
+            "error of touched taxels, N": cells(rows, "{error:.3f}"),
+        }
+    )
+    ratio = rows["bytes"][0] / rows["bytes"][1]
+    line = (
+        f"Of {size['patches']} patches one is touched: quiet ones are sent in {ratio:.0f} times "
+        "fewer bytes than all."
+    )
+    page.section("Quiet bodies", table, line, patches=size["patches"], quiet_s=QUIET_S)
     return line
 
 
