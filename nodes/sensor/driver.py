@@ -202,19 +202,21 @@ class DriverSource(LiveSource):
         if skin is not None and skin.mask is not None:
             values[~skin.mask] = 0
 
-        missing = ~np.isfinite(values)
-        if missing.any() and not self._layout.accepts_missing:
-            row, col = np.argwhere(missing)[0]
-            fault = f"row {row}, column {col}: {values[row, col]} is no force"
-            hint = f"a fault of the sensor or its driver; {recording.NAN_HINT}"
-            raise SourceError(f"{where}, {fault}; {hint}")
-        values[missing] = np.nan
+        is_number = np.isfinite(values)
+        if not is_number.all():
+            if not self._layout.accepts_missing:
+                row, col = np.argwhere(~is_number)[0]
+                fault = f"row {row}, column {col}: {values[row, col]} is no force"
+                hint = f"a fault of the sensor or its driver; {recording.NAN_HINT}"
+                raise SourceError(f"{where}, {fault}; {hint}")
+            values[~is_number] = np.nan
 
         # Raw readings are clipped once a calibration has made forces of them.
         if self._raw:
             return values.astype(np.float32, copy=False)
         self.clipped.add(values, 0.0, self._f_max)
-        return np.clip(values, 0, self._f_max).astype(np.float32, copy=False)
+        np.clip(values, 0, self._f_max, out=values)
+        return values.astype(np.float32, copy=False)
 
     def _arranged(self, array: npt.NDArray[Any], where: str) -> npt.NDArray[Any]:
         """The readings of a frame (rows, cols), by the layout; all frames have one shape."""

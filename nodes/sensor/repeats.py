@@ -8,7 +8,7 @@ import numpy as np
 
 from sparseskin.messages import Reason
 from sparseskin.messages.skin import Skin
-from sparseskin.nodes.numerics.arrays import Floats, Indices, Mask
+from sparseskin.nodes.numerics.arrays import Floats, Indices
 
 from .sign import Margin
 
@@ -48,8 +48,10 @@ class Repeats:
     def __init__(self, skin: Skin) -> None:
         self._f_max = np.float32(skin.f_max)
         self._margin = Margin()
-        self._exists = skin.exists.reshape(-1)
+        self._taxels = None if skin.mask is None else np.flatnonzero(skin.mask)
         self._last: Floats = np.zeros(0, np.float32)
+        #: Taxels that repeated their last reading, and how often in a row.
+        self._repeated: Indices = np.zeros(0, np.intp)
         self._runs: Indices = np.zeros(0, np.intp)
         self._n_untouched = 0
         self._n_shown = 0
@@ -61,40 +63,51 @@ class Repeats:
         it has none.
         """
         readings = forces.reshape(-1)
-        margin = self._margin.of(readings[self._exists], float(self._f_max), None)
-        if readings.size != self._last.size:
-            self._last = readings.copy()
-            self._runs = np.zeros(readings.size, np.intp)
+        if self._taxels is not None:
+            readings = readings[self._taxels]
+        margin = self._margin.of(readings, float(self._f_max), None)
+        last = self._last
+        self._last = readings.copy()
+        if readings.size != last.size:
+            self._repeated = np.zeros(0, np.intp)
+            self._runs = np.zeros(0, np.intp)
             return ""
 
-        repeats = (readings == self._last) & (readings != 0)
-        self._count(self._last, repeats, margin)
-        self._runs += 1
-        self._runs *= repeats
-        np.copyto(self._last, readings)
+        # Hardly a taxel repeats: what follows is done for those alone.
+        repeated = np.flatnonzero((readings == last) & (readings != 0))
+        self._count(last, repeated, margin)
+        self._extend_runs(repeated, readings.size)
 
         longest = int(self._runs.max(initial=0))
         needed = self._needed()
         if longest < needed:
             return ""
-        at_end = readings >= self._f_max
-        stuck = self._runs >= np.where(at_end, max(needed, LEAST_RUN_AT_END), needed)
+        at_end = readings[repeated] >= self._f_max
+        is_stuck = self._runs >= np.where(at_end, max(needed, LEAST_RUN_AT_END), needed)
+        stuck = repeated[is_stuck]
         if not self._matters(readings, stuck):
             return ""
-        if np.array_equal(stuck, readings != 0):
+        if stuck.size == np.count_nonzero(readings):
             return Reason.FROZEN
-        return Reason.CLIPPED if at_end[stuck].all() else Reason.STUCK
+        return Reason.CLIPPED if at_end[is_stuck].all() else Reason.STUCK
 
-    def _count(self, before: Floats, repeats: Mask, margin: float) -> None:
+    def _extend_runs(self, repeated: Indices, n: int) -> None:
+        """Count the taxels, of n, that have repeated their reading, by number."""
+        runs = np.zeros(n, np.intp)
+        runs[self._repeated] = self._runs
+        self._runs = runs[repeated] + 1
+        self._repeated = repeated
+
+    def _count(self, before: Floats, repeated: Indices, margin: float) -> None:
         """Add the pairs of readings of untouched taxels to the counts."""
-        untouched = (np.abs(before) <= margin) & self._exists
+        untouched = np.abs(before) <= margin
         shown = untouched & (before != 0)
         self._n_untouched += int(np.count_nonzero(untouched))
         self._n_shown += int(np.count_nonzero(shown))
 
-        shown &= self._runs == 0
+        shown[self._repeated] = False
         self._n_pairs += int(np.count_nonzero(shown))
-        self._n_repeated += int(np.count_nonzero(shown & repeats))
+        self._n_repeated += int(np.count_nonzero(shown[repeated]))
 
     def _needed(self) -> float:
         """Number of repetitions of a stuck taxel; infinite where none shows."""
@@ -106,8 +119,8 @@ class Repeats:
         return max(LEAST_RUN, math.ceil(math.log(CHANCE) / math.log(probability)))
 
     @staticmethod
-    def _matters(readings: Floats, stuck: Mask) -> bool:
-        """True if these taxels have a large part of the forces of a frame."""
+    def _matters(readings: Floats, stuck: Indices) -> bool:
+        """True if these taxels, by number, have a large part of the forces of a frame."""
         energy = float(readings @ readings)
         of_stuck = readings[stuck]
         return float(of_stuck @ of_stuck) > SHARE**2 * energy

@@ -51,9 +51,12 @@ class Clipped:
         self.sign.update(readings, low, margin)
         self.n_now = 0
 
-        # Without NaN, unlike min and max.
-        lowest = float(np.fmin.reduce(readings, axis=None, initial=math.inf))
-        highest = float(np.fmax.reduce(readings, axis=None, initial=-math.inf))
+        lowest = float(readings.min(initial=math.inf))
+        highest = float(readings.max(initial=-math.inf))
+        if math.isnan(lowest):
+            # Without NaN, and three times as slow.
+            lowest = float(np.fmin.reduce(readings, axis=None, initial=math.inf))
+            highest = float(np.fmax.reduce(readings, axis=None, initial=-math.inf))
         # Noise that is known may lie below the range: only what exceeds it counts.
         lower_end = low if noise is None else low - margin
         if lower_end <= lowest and highest <= high:

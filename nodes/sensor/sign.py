@@ -118,7 +118,7 @@ class Margin:
         median_spread = spreads[(len(spreads) - 1) // 2]
 
         # The steps of a converter hide the noise.
-        if np.array_equal(values, np.rint(values)):
+        if (values == np.rint(values)).all():
             floor = max(floor, min(WHOLE, MOST_WHOLE * f_max))
         return max(SIGMAS * median_spread, floor)
 
@@ -128,7 +128,7 @@ def _spread(values: Doubles, previous: Doubles | None) -> float:
     load raises, and of that since the frame before, which a motion raises.
     """
 
-    over_taxels = MAD_TO_SD * _middle(np.abs(values - _middle(values)))
+    over_taxels = MAD_TO_SD * _middle(np.abs(values - _middle(values.copy())))
     if previous is None or previous.size != values.size:
         return over_taxels
     change = _middle(np.abs(values - previous)) / DIFFERENCE
@@ -138,5 +138,7 @@ def _spread(values: Doubles, previous: Doubles | None) -> float:
 
 
 def _middle(values: Doubles) -> float:
-    """Median of values, the upper one of two."""
-    return float(np.partition(values, values.size // 2)[values.size // 2])
+    """Median of values, the upper one of two; their order changes."""
+    middle = values.size // 2
+    values.partition(middle)
+    return float(values[middle])

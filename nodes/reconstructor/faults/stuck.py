@@ -33,7 +33,7 @@ PRESSED = 5.0
 
 
 class Evidence(NamedTuple):
-    """What a frame shows of each taxel; vectors (n,), of the taxels in row-major order."""
+    """What a frame shows of each watched taxel; vectors of these, in their order."""
 
     projected: Floats  # what is new in the measurements, projected back to the taxels
     background: Doubles  # its variance by the noise of the other taxels
@@ -94,20 +94,23 @@ class StuckTaxels:
     ----------
     is_doubted : bool
         True while some of the pressed taxels are stuck, it is not clear which.
+    is_any_stuck : bool
     is_stuck : ndarray of bool, shape (n,)
     seems_to_work : ndarray of bool, shape (n,)
         True where nothing shows that a taxel is stuck.
     value : ndarray of float32, shape (n,)
-        Readings of stuck taxels; 0 elsewhere.
+        Readings of stuck taxels; 0 elsewhere. Another array where one of them changes.
     """
 
     def __init__(self, exists: Mask) -> None:
         n = int(np.count_nonzero(exists))
-        self._odds = np.zeros(n)
+        self._odds = np.zeros(n)  # 0 where a taxel is not watched
+        self._watched: Indices = np.zeros(0, dtype=np.intp)
         self._reference = np.zeros(n, dtype=np.float32)
         self._n_doubted = 0  # frames of doubt in a row
         self._n_clear = SETTLED  # frames without evidence in a row
         self.is_doubted = False
+        self.is_any_stuck = False
         self.is_stuck: Mask = np.zeros(n, dtype=np.bool_)
         self.value = np.zeros(n, dtype=np.float32)
 
@@ -119,43 +122,62 @@ class StuckTaxels:
         """Begin a frame; return the taxels to look at, by number: those that are stuck, and the
         pressed ones. `least_force` is that of a pressed taxel.
         """
-        is_watched = (forces > least_force) | self.is_stuck
-        self._odds[~is_watched] = 0.0
+        is_watched = forces > least_force
+        if self.is_any_stuck:
+            is_watched |= self.is_stuck
+        watched = np.flatnonzero(is_watched)
+
+        # A press hardly changes from frame to frame.
+        if not np.array_equal(watched, self._watched):
+            odds = self._odds[watched]
+            self._odds[self._watched] = 0.0
+            self._odds[watched] = odds
+            self._watched = watched
         self._n_clear += 1
         self.is_doubted = self._n_clear < SETTLED
-        return np.flatnonzero(is_watched)
+        return watched
 
     def look(self, watched: Indices, forces: Floats, evidence: Evidence) -> Indices:
         """Process what a frame shows of the watched taxels; return those that are stuck from now
         on, by number, and use those again that show noise.
         """
         self._update(watched, forces[watched], evidence)
+        if not self.is_any_stuck:
+            return self._new(watched)
         works_again = watched[self.is_stuck[watched] & (self._odds[watched] < -ENOUGH)]
-        self.is_stuck[works_again] = False
-        self.value[works_again] = 0.0
+        if works_again.size:
+            self.mark(works_again, is_stuck=False, values=np.float32(0))
         return self._new(watched[~self.is_stuck[watched]])
+
+    def mark(self, taxels: Indices, *, is_stuck: bool, values: Floats | np.float32) -> None:
+        """Note that taxels, by number, are stuck from now on, at some values, or work again."""
+        self.is_stuck[taxels] = is_stuck
+        self.is_any_stuck = bool(self.is_stuck.any())
+        self.value = self.value.copy()
+        self.value[taxels] = values
 
     def _update(self, watched: Indices, forces: Floats, evidence: Evidence) -> None:
         """Add what a frame shows to the odds of the watched taxels."""
-        shown2 = np.square(evidence.projected[watched], dtype=np.float64)
-        noise = evidence.noise[watched]
-        stuck2 = np.maximum(evidence.background[watched], LEAST_BACKGROUND * noise) + TINY
+        shown2 = np.square(evidence.projected, dtype=np.float64)
+        noise = evidence.noise
+        stuck2 = np.maximum(evidence.background, LEAST_BACKGROUND * noise) + TINY
         works2 = stuck2 + noise
         change = 0.5 * (np.log(works2 / stuck2) - shown2 * (1 / stuck2 - 1 / works2))
         odds = self._odds[watched] + change
 
         # A force that changes is no stuck one, until now.
         reference = self._reference[watched]
+        is_stuck = self.is_stuck[watched]
         has_moved = np.abs(forces - reference) > HELD * reference
-        has_moved &= ~self.is_stuck[watched]
+        has_moved &= ~is_stuck
         reference = np.where(has_moved, forces, reference + FOLLOWED * (forces - reference))
         self._reference[watched] = reference
         odds[has_moved] = 0.0
 
         # A stuck taxel is used again when the evidence that it works is large. What one of many
         # thousand taxels shows is enough by itself.
-        lower_bound = np.where(self.is_stuck[watched], -np.inf, -FORGOTTEN)
-        self._odds[watched] = np.clip(odds, lower_bound, 3 * ENOUGH)
+        lower_bound = np.where(is_stuck, -np.inf, -FORGOTTEN)
+        self._odds[watched] = np.minimum(np.maximum(odds, lower_bound), 3 * ENOUGH)
 
     def _new(self, watched: Indices) -> Indices:
         """Return the watched taxels that are stuck, by the odds of all."""
@@ -175,8 +197,7 @@ class StuckTaxels:
             return watched[:0]
         inside = order[group.start : group.stop]
         members = watched[inside[probability_of(odds[inside]) > MEMBER]]
-        self.is_stuck[members] = True
-        self.value[members] = self._reference[members]
+        self.mark(members, is_stuck=True, values=self._reference[members])
         self._odds[members] = 0.0
         self._n_doubted = 0
         return members
@@ -198,7 +219,7 @@ class StuckTaxels:
 
     def is_blind(self, exists: Mask) -> bool:
         """True if a stuck taxel has no working one beside it."""
-        if not self.is_stuck.any():
+        if not self.is_any_stuck:
             return False
         has_working = of_nine(self._working(exists), np.logical_or)
         return bool((exists & ~has_working).any())

@@ -88,6 +88,8 @@ class FaultWatch:
         self._noise = noise
         self._exists = exists
         self._cells = np.flatnonzero(exists)
+        #: Index of the taxels among the cells: of all of them a view is enough.
+        self._taxels: Any = slice(None) if exists.all() else self._cells
         self._log = log or _no_log
         self._watch_rows = watch_rows
         self._watch_taxels = watch_taxels
@@ -123,13 +125,15 @@ class FaultWatch:
             parts.append(f"offset of all measurements subtracted: {self._offset.value:.2g}")
         if self._rows_doubted:
             parts.append(f"measurements doubted: {listed(self._rows_doubted)}")
-        if self._stuck.is_stuck.any():
+        if self._stuck.is_any_stuck:
             parts.append(f"stuck taxels left out: {self._names(self._stuck.is_stuck.nonzero()[0])}")
         return "; ".join(parts)
 
     @property
     def taxels(self) -> list[int]:
         """Flat cells of the stuck taxels, in order; of many the first `MAX_CELLS`."""
+        if not self._stuck.is_any_stuck:
+            return []
         cells = self._cells[self._stuck.is_stuck]
         return [int(cell) for cell in cells[:MAX_CELLS]]
 
@@ -158,7 +162,7 @@ class FaultWatch:
             return None
 
         believed = y
-        if self._stuck.is_stuck.any():
+        if self._stuck.is_any_stuck:
             believed = np.subtract(y, self._stuck_readings(phi))
         if self._watch_rows and hasattr(solver, "expected") and self._mixes(phi):
             believed = self._without_offset(solver, phi, believed)
@@ -202,10 +206,10 @@ class FaultWatch:
             self._follow_doubt(solver, phi)
             # Of forces that have not converged, the errors are no noise; but a taxel that is left
             # out and works again makes them so.
-            is_evidence = solver.trusted or bool(self._stuck.is_stuck.any())
+            is_evidence = solver.trusted or self._stuck.is_any_stuck
             if self._watch_taxels and self._received is None and is_evidence:
-                self._look_for_stuck(solver, forces[self._exists])
-        if self._stuck.is_stuck.any():
+                self._look_for_stuck(solver, forces.reshape(-1)[self._taxels])
+        if self._stuck.is_any_stuck:
             forces = self._stuck.filled(forces, self._exists)
         forces, is_beyond = self._within_range(forces)
         self._last_forces = forces
@@ -243,8 +247,12 @@ class FaultWatch:
         if mean is None:
             mean = np.zeros(phi.m, dtype=np.float32)
             self._doubts[phi.fingerprint] = mean
-        was_doubted = mean > DOUBTED
-        mean += np.float32(DOUBT_RATE) * (doubt - mean)
+        last_mean = mean
+        mean = last_mean + np.float32(DOUBT_RATE) * (doubt - last_mean)
+        self._doubts[phi.fingerprint] = mean
+        if not self._rows_doubted and mean.max() <= DOUBTED:
+            return
+        was_doubted = last_mean > DOUBTED
         is_doubted = mean > DOUBTED
         if np.array_equal(is_doubted, was_doubted):
             return
@@ -271,11 +279,11 @@ class FaultWatch:
         evidence = self._evidence(solver, watched, forces, untouched)
         if evidence is None:
             return
-        last_value = stuck.value.copy()
+        last_value = stuck.value
         new = stuck.look(watched, forces, evidence)
-        change = stuck.value - last_value
-        if not change.any():
+        if stuck.value is last_value:
             return
+        change = stuck.value - last_value
         self._subtracted.clear()
         self._new_changes.forget()
         if len(new):
@@ -293,14 +301,15 @@ class FaultWatch:
         if new is None:
             return None
         model = self._noise.model
+        of_watched = forces[watched]
         if model is not None:
-            noise = model.variance(forces).astype(np.float64)
+            noise = model.variance(of_watched).astype(np.float64)
         else:
             if not self._stuck.is_doubted:
-                pressed = forces[watched][self._stuck.seems_to_work[watched]]
+                pressed = of_watched[self._stuck.seems_to_work[watched]]
                 self._pressed_noise.look(pressed, len(forces) * solver.excess_noise2)
-            noise = self._pressed_noise.variance(forces, untouched)
-        projection = solver.projection(new)
+            noise = self._pressed_noise.variance(of_watched, untouched)
+        projection = solver.projection(new, watched)
         return Evidence(projection.projected, projection.background, projection.own * noise)
 
     def _untouched_noise(self, solver: Any) -> float:

@@ -10,7 +10,7 @@ import numpy as np
 from sparseskin.nodes.compressor.phi.base import RANDOM, SUMS, Phi, block_layout, phi_fact
 from sparseskin.nodes.compressor.phi.rotation import FIXED, ROTATING
 from sparseskin.nodes.errors import SolverError
-from sparseskin.nodes.numerics.arrays import Doubles, Floats, Mask, shared
+from sparseskin.nodes.numerics.arrays import Doubles, Floats, Indices, Mask, shared
 from sparseskin.nodes.numerics.compiled import use_compiled
 from sparseskin.nodes.reconstructor.bases.base import Basis
 from sparseskin.nodes.reconstructor.solvers.base import (
@@ -32,7 +32,7 @@ MOST_TILES = 1 << 40
 
 
 class Projection(NamedTuple):
-    """What a change shows of each taxel; vectors (n,), of the taxels in row-major order."""
+    """What a change shows of each of some taxels; vectors of these, in their order."""
 
     projected: Floats  # the change, projected back to the taxels
     background: Doubles  # its variance by the errors of the other taxels
@@ -221,9 +221,9 @@ class SkinSolver(CountsTiles):
         """
         self._estimator.vectors.subtract(forces.reshape(-1)[self._cells])
 
-    def projection(self, change: Floats) -> Projection:
-        """Return what a change of the values of the rows read, float32 (n_read,), shows of each
-        taxel.
+    def projection(self, change: Floats, taxels: Indices) -> Projection:
+        """Return what a change of the values of the rows read, float32 (n_read,), shows of some
+        taxels, by number in row-major order.
         """
         rows = self._rows
         of_rows = np.zeros(rows.n_rows, dtype=np.float32)
@@ -239,8 +239,8 @@ class SkinSolver(CountsTiles):
         seen = n_read / self._block_sizes
         background = seen * (1 - seen) * squares / np.maximum(n_read, 1)
 
-        projected = rows.adjoint(of_rows).take(self._place_of_taxel)
-        block = self._block_of_taxel
+        projected = rows.adjoint(of_rows).take(self._place_of_taxel[taxels])
+        block = self._block_of_taxel[taxels]
         return Projection(projected, background.take(block), (seen * seen).take(block))
 
     @property

@@ -135,7 +135,8 @@ def test_a_stuck_taxel_is_the_mean_of_the_working_ones_beside_it():
     exists[0, 2] = False
     taxels = StuckTaxels(exists)
     image = np.arange(20, dtype=np.float32).reshape(4, 5) * exists
-    taxels.is_stuck[[0, 1]] = True  # cells (0, 0) and (0, 1)
+    # Cells (0, 0) and (0, 1).
+    taxels.mark(np.array([0, 1]), is_stuck=True, values=np.float32(1))
     filled = taxels.filled(image, exists)
     assert filled[0, 0] == np.mean([5, 6])
     assert filled[0, 1] == np.mean([5, 6, 7])
@@ -146,7 +147,7 @@ def test_a_stuck_taxel_is_the_mean_of_the_working_ones_beside_it():
 def test_stuck_taxels_without_a_working_one_beside_them_are_blind():
     exists = np.ones((4, 5), dtype=np.bool_)
     taxels = StuckTaxels(exists)
-    taxels.is_stuck[[0, 1, 5, 6]] = True
+    taxels.mark(np.array([0, 1, 5, 6]), is_stuck=True, values=np.float32(1))
     assert taxels.is_blind(exists)
 
 

@@ -250,7 +250,7 @@ def test_measurements_mix_taxels_but_for_single_ones(kind, is_mixed):
 
 def test_of_many_stuck_taxels_the_first_cells_are_published():
     watch = FaultWatch(Noise(F_MAX), np.ones(SHAPE, dtype=np.bool_))
-    watch._stuck.is_stuck[100:] = True
+    watch._stuck.mark(np.arange(100, 1600), is_stuck=True, values=np.float32(1))
     assert watch.taxels == [*range(100, 100 + MAX_CELLS)]
     assert watch.text.endswith(f"(2, 27) and {1500 - MOST_NAMED} more")
 
