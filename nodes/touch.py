@@ -52,15 +52,30 @@ class MeasuredNoise:
 
     def update(self, forces: Floats) -> float:
         """Add a frame, float32 (n,); return `sigma`."""
-        last, self._last = self._last, forces
-        if last is None or last.shape != forces.shape or np.array_equal(last, forces):
+        last = self._last
+        self._last = forces
+        if last is None or last.shape != forces.shape:
+            return self.sigma
+        part = np.s_[:: forces.size // SAMPLE | 1]
+        change = np.abs(forces[part] - last[part])
+        # Equal frames may be the same one, read twice.
+        if not change.any() and np.array_equal(last, forces):
             return self.sigma
         is_clipped = np.count_nonzero(forces) < 0.75 * forces.size
-        part = np.s_[:: forces.size // SAMPLE | 1]
-        change = np.median(np.abs(forces[part] - last[part]))
-        now = float(change) / (CLIPPED if is_clipped else DIFFERENCE)
+        now = _median(change) / (CLIPPED if is_clipped else DIFFERENCE)
         if self._mean is None:
             self._mean = self.sigma = now
         self._mean += SMOOTHING * (now - self._mean)
         self.sigma *= FALL if self._mean < self.sigma else RISE
         return self.sigma
+
+
+def _median(values: Floats) -> float:
+    """Median of values, 1 at least, whose order changes; a fifth of the time of NumPy's."""
+    values = values.reshape(-1)
+    middle = values.size // 2
+    if values.size % 2:
+        values.partition(middle)
+        return float(values[middle])
+    values.partition((middle - 1, middle))
+    return float(values[middle - 1 : middle + 1].mean())

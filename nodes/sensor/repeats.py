@@ -77,10 +77,10 @@ class Repeats:
         repeated = np.flatnonzero((readings == last) & (readings != 0))
         self._count(last, repeated, margin)
         self._extend_runs(repeated, readings.size)
-
-        longest = int(self._runs.max(initial=0))
+        if not repeated.size:
+            return ""
         needed = self._needed()
-        if longest < needed:
+        if self._runs.max() < needed:
             return ""
         at_end = readings[repeated] >= self._f_max
         is_stuck = self._runs >= np.where(at_end, max(needed, LEAST_RUN_AT_END), needed)
@@ -93,9 +93,12 @@ class Repeats:
 
     def _extend_runs(self, repeated: Indices, n: int) -> None:
         """Count the taxels, of n, that have repeated their reading, by number."""
-        runs = np.zeros(n, np.intp)
-        runs[self._repeated] = self._runs
-        self._runs = runs[repeated] + 1
+        if repeated.size:
+            runs = np.zeros(n, np.intp)
+            runs[self._repeated] = self._runs
+            self._runs = runs[repeated] + 1
+        else:
+            self._runs = np.zeros(0, np.intp)
         self._repeated = repeated
 
     def _count(self, before: Floats, repeated: Indices, margin: float) -> None:

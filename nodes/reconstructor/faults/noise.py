@@ -66,7 +66,8 @@ class PressedNoise:
 
     def __init__(self) -> None:
         self._n_frames = 0
-        self._sums = np.zeros(3)  # number of pressed taxels, their excess noise, squared forces
+        # Number of pressed taxels, their excess noise, squared forces.
+        self._means = (0.0, 0.0, 0.0)
 
     def look(self, pressed: Floats, excess: float) -> None:
         """Process the forces of the pressed taxels of a frame, and what the noise variance of all
@@ -74,13 +75,18 @@ class PressedNoise:
         """
         self._n_frames = min(self._n_frames + 1, LONG)
         forces2 = float(np.square(pressed, dtype=np.float64).sum())
-        self._sums += ([len(pressed), excess, forces2] - self._sums) / self._n_frames
+        of_frame = len(pressed), excess, forces2
+        n = self._n_frames
+        n_pressed, mean_excess, mean_forces2 = (
+            mean + (now - mean) / n for mean, now in zip(self._means, of_frame, strict=True)
+        )
+        self._means = n_pressed, mean_excess, mean_forces2
 
     def variance(self, forces: Floats, untouched: float) -> Doubles:
         """Return the noise variance of taxels by their forces, float64 (n,); `untouched` is that of
         an untouched one.
         """
-        n_pressed, excess, forces2 = self._sums
+        n_pressed, excess, forces2 = self._means
         part = np.minimum(np.square(forces, dtype=np.float64) * n_pressed / (forces2 + TINY), 1)
         variance: Doubles = AT_LEAST * (untouched + part * excess / (n_pressed + TINY))
         return variance

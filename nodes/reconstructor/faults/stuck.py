@@ -96,8 +96,6 @@ class StuckTaxels:
         True while some of the pressed taxels are stuck, it is not clear which.
     is_any_stuck : bool
     is_stuck : ndarray of bool, shape (n,)
-    seems_to_work : ndarray of bool, shape (n,)
-        True where nothing shows that a taxel is stuck.
     value : ndarray of float32, shape (n,)
         Readings of stuck taxels; 0 elsewhere. Another array where one of them changes.
     """
@@ -114,9 +112,9 @@ class StuckTaxels:
         self.is_stuck: Mask = np.zeros(n, dtype=np.bool_)
         self.value = np.zeros(n, dtype=np.float32)
 
-    @property
-    def seems_to_work(self) -> Mask:
-        return (self._odds <= 0) & ~self.is_stuck
+    def seem_to_work(self) -> Mask:
+        """True for each watched taxel of the last frame of which nothing shows that it is stuck."""
+        return (self._odds[self._watched] <= 0) & ~self.is_stuck[self._watched]
 
     def watched(self, forces: Floats, least_force: float) -> Indices:
         """Begin a frame; return the taxels to look at, by number: those that are stuck, and the
@@ -127,12 +125,10 @@ class StuckTaxels:
             is_watched |= self.is_stuck
         watched = np.flatnonzero(is_watched)
 
-        # A press hardly changes from frame to frame.
-        if not np.array_equal(watched, self._watched):
-            odds = self._odds[watched]
-            self._odds[self._watched] = 0.0
-            self._odds[watched] = odds
-            self._watched = watched
+        odds = self._odds[watched]
+        self._odds[self._watched] = 0.0
+        self._odds[watched] = odds
+        self._watched = watched
         self._n_clear += 1
         self.is_doubted = self._n_clear < SETTLED
         return watched
@@ -167,16 +163,19 @@ class StuckTaxels:
 
         # A force that changes is no stuck one, until now.
         reference = self._reference[watched]
-        is_stuck = self.is_stuck[watched]
-        has_moved = np.abs(forces - reference) > HELD * reference
-        has_moved &= ~is_stuck
-        reference = np.where(has_moved, forces, reference + FOLLOWED * (forces - reference))
+        difference = forces - reference
+        has_moved = np.abs(difference) > HELD * reference
+        # A stuck taxel is used again when the evidence that it works is large. What one of many
+        # thousand taxels shows is enough by itself.
+        lower_bound: Doubles | float = -FORGOTTEN
+        if self.is_any_stuck:
+            is_stuck = self.is_stuck[watched]
+            has_moved &= ~is_stuck
+            lower_bound = np.where(is_stuck, -np.inf, -FORGOTTEN)
+        reference = np.where(has_moved, forces, reference + FOLLOWED * difference)
         self._reference[watched] = reference
         odds[has_moved] = 0.0
 
-        # A stuck taxel is used again when the evidence that it works is large. What one of many
-        # thousand taxels shows is enough by itself.
-        lower_bound = np.where(is_stuck, -np.inf, -FORGOTTEN)
         self._odds[watched] = np.minimum(np.maximum(odds, lower_bound), 3 * ENOUGH)
 
     def _new(self, watched: Indices) -> Indices:

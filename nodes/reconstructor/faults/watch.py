@@ -306,7 +306,7 @@ class FaultWatch:
             noise = model.variance(of_watched).astype(np.float64)
         else:
             if not self._stuck.is_doubted:
-                pressed = of_watched[self._stuck.seems_to_work[watched]]
+                pressed = of_watched[self._stuck.seem_to_work()]
                 self._pressed_noise.look(pressed, len(forces) * solver.excess_noise2)
             noise = self._pressed_noise.variance(of_watched, untouched)
         projection = solver.projection(new, watched)

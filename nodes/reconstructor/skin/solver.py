@@ -39,6 +39,14 @@ class Projection(NamedTuple):
     own: Doubles  # its variance by an error of the taxel, in the variance of that
 
 
+class BlocksRead(NamedTuple):
+    """The blocks of taxels that a row subset sums."""
+
+    blocks: Indices  # of each row read
+    unseen: Doubles  # seen part of each times the unseen one, by its number of rows
+    seen2: Doubles  # square of the seen part of each
+
+
 class SkinSolver(CountsTiles):
     """Reconstructs frames by `SkinEstimator`, in a constant number of steps, with their errors.
 
@@ -126,6 +134,7 @@ class SkinSolver(CountsTiles):
         self._block_of_taxel = shared(self._rows.block_of_taxel[self._place_of_taxel])
         self._block_sizes = shared(np.bincount(self._rows.block_of_taxel))
         self._ones: dict[str, Floats] = {}  # Phi 1, by row subset
+        self._blocks: dict[str, BlocksRead] = {}
         self._holes = None if phi.n == self.mask.size else ~self.mask
 
         self._tuning = tuning
@@ -230,18 +239,26 @@ class SkinSolver(CountsTiles):
         of_rows[rows.read] = change
 
         # The mean square of the change is that of the errors of the taxels.
-        blocks = rows.blocks
-        if blocks is None:
-            blocks = np.zeros(len(rows.read), dtype=np.intp)
-        n_blocks = len(self._block_sizes)
-        n_read = np.bincount(blocks, minlength=n_blocks)
-        squares = np.bincount(blocks, weights=change * change, minlength=n_blocks)
-        seen = n_read / self._block_sizes
-        background = seen * (1 - seen) * squares / np.maximum(n_read, 1)
+        of_blocks = self._blocks_read()
+        squares = np.bincount(of_blocks.blocks, change * change, minlength=len(of_blocks.unseen))
+        background = of_blocks.unseen * squares
 
         projected = rows.adjoint(of_rows).take(self._place_of_taxel[taxels])
         block = self._block_of_taxel[taxels]
-        return Projection(projected, background.take(block), (seen * seen).take(block))
+        return Projection(projected, background.take(block), of_blocks.seen2.take(block))
+
+    def _blocks_read(self) -> BlocksRead:
+        """What does not change of the blocks that the row subset reads."""
+        fingerprint = self.phi.fingerprint
+        if fingerprint not in self._blocks:
+            blocks = self._rows.blocks
+            if blocks is None:
+                blocks = np.zeros(len(self._rows.read), dtype=np.intp)
+            n_read = np.bincount(blocks, minlength=len(self._block_sizes))
+            seen = n_read / self._block_sizes
+            unseen = shared(seen * (1 - seen) / np.maximum(n_read, 1))
+            self._blocks[fingerprint] = BlocksRead(blocks, unseen, shared(seen * seen))
+        return self._blocks[fingerprint]
 
     @property
     def change(self) -> Floats:
