@@ -182,7 +182,7 @@ class StuckTaxels:
         """Return the watched taxels that are stuck, by the odds of all."""
         odds = self._odds[watched]
         # No choice of taxels has larger odds than those that are above 0.
-        if odds[odds > 0].sum() < ENOUGH:
+        if odds[odds > 0].sum() - _lost_by_choice(len(odds)) < ENOUGH:
             return self._none()
         order = np.argsort(self._reference[watched])
         group = most_likely_range(odds[order])
@@ -247,7 +247,12 @@ def most_likely_range(odds: Doubles) -> Range:
     excess = sums - np.minimum.accumulate(sums)
     stop = int(excess.argmax())
     start = int(sums[: stop + 1].argmin())
-    return Range(float(excess[stop]) - 2 * math.log(len(odds)), start, stop)
+    return Range(float(excess[stop]) - _lost_by_choice(len(odds)), start, stop)
+
+
+def _lost_by_choice(n: int) -> float:
+    """Logarithm of the number of ranges of n taxels, about."""
+    return 2 * math.log(max(n, 1))
 
 
 def probability_of(odds: Doubles) -> Doubles:
