@@ -29,7 +29,11 @@ from . import beside, latency, processes
 from .bodies import time_body
 
 SIDES, QUICK_SIDES = (20, 40, 64, 128), (20, 40)
-PATCH_SIDE, PATCHES, QUICK_PATCHES, IDLE = 64, (1, 4, 16, 64, 244), (1, 4), 0.9
+PATCH_SIDE = 64
+PATCHES = (1, 4, 16, 64, 244)
+QUICK_PATCHES = (1, 4)
+LOADS = {0.0: "all pressed", 0.75: "a quarter pressed", 1.0: "at rest"}
+"""Part of the patches that nothing presses, and what a body is then."""
 GOAL, GOAL_HZ = 244, 1000
 """Patches of a million taxels, and frames a second."""
 LINK_BYTES_HZ = 1e9 / 8
@@ -82,17 +86,17 @@ def bodies(page: Page, quick: bool, seed: int) -> str:
     common: dict[str, float] = {"side": PATCH_SIDE, "seed": seed}
     points = [
         {**common, "patches": n, "idle": idle, "n_frames": 12 if quick or n >= 64 else 60}
-        for idle in (0.0, IDLE)
+        for idle in LOADS
         for n in (QUICK_PATCHES if quick else PATCHES)
     ]
     rows = pd.DataFrame(compute_rows(time_body, points, page.out, TIMED_ON, "bodies"))
     page.csv("bodies", rows)
-    us, patch_hz = rows["edge_us"] + rows["host_us"], GOAL * GOAL_HZ
+    us = rows["edge_us"] + rows["host_us"]
     table = pd.DataFrame(
         {
             "taxels": [f"{n * PATCH_SIDE**2:,}" for n in rows["patches"]],
             "patches": rows["patches"],
-            "idle": cells(rows, "{idle:.0%}"),
+            "load": rows["idle"].map(LOADS),
             "iterations": rows["iterations"],
             "edge, us a patch": cells(rows, "{edge_us:.0f}"),
             "host, us a patch": cells(rows, "{host_us:.0f}"),
@@ -105,13 +109,20 @@ def bodies(page: Page, quick: bool, seed: int) -> str:
     solved = rows[rows["idle"] == 0]
     spent = np.log((solved["edge_us"] + solved["host_us"]) * solved["patches"])
     slope = float(np.polyfit(np.log(solved["patches"]), spent, 1)[0])
+    patch_hz = GOAL * GOAL_HZ
+    largest = rows[rows["patches"] == rows["patches"].max()]
+    cores = largest.assign(
+        load=largest["idle"].map(LOADS),
+        edges=1e-6 * patch_hz * largest["edge_us"],
+        hosts=1e-6 * patch_hz * largest["host_us"],
+    )
     last = solved.iloc[-1]
-    edges, hosts = (1e-6 * patch_hz * last[name] for name in ("edge_us", "host_us"))
     links = last["bytes"] / last["patches"] * patch_hz / LINK_BYTES_HZ
     line = (
-        f"Time grows with taxels to the power {slope:.2f}. A million taxels at 1 kHz take "
-        f"{edges:.0f} cores of edges and {hosts:.0f} of hosts as fast as this one, and "
-        f"{links:.0f} gigabit links in place of {RATIO * links:.0f}."
+        f"Time grows with taxels to the power {slope:.2f}. A million taxels at 1 kHz take, in "
+        f"cores of edges + hosts as fast as this one: "
+        f"{', '.join(cells(cores, '{load} {edges:.0f} + {hosts:.0f}'))}; and {links:.0f} gigabit "
+        f"links in place of {RATIO * links:.0f}."
     )
     page.section("Bodies of many patches", table, line, side=PATCH_SIDE)
     return line

@@ -130,8 +130,9 @@ class RepeatWatch:
         state.y = y
         n_equal = int(np.count_nonzero(repeats))
         if n_equal:
-            last = 0 if state.n_repeats is None else state.n_repeats
-            state.n_repeats = np.where(repeats, last + 1, 0)
+            if state.n_repeats is None:
+                state.n_repeats = np.zeros(y.size, dtype=np.int64)
+            state.n_repeats = np.where(repeats, state.n_repeats + 1, 0)
             if has_noise:
                 self._mark(state.n_repeats, step_of(y) > 0)
         else:
