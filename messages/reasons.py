@@ -30,12 +30,6 @@ class Reason(StrEnum):
         "measurements repeat exactly",
         "The measurements repeat exactly, on a skin with noise.",
     )
-    QUIET = (
-        "quiet",
-        "measurements lack the noise of the skin",
-        "The measurements have less noise than the skin states and has shown: they are scaled "
-        "down, or what they measure stands still.",
-    )
     CLIPPED = (
         "clipped",
         "many readings or measurements are clipped",
@@ -69,11 +63,6 @@ class Reason(StrEnum):
         "the forces are within the noise of the skin",
         "The estimated error is a large part of the forces, but both are within the noise of the "
         "skin.",
-    )
-    ROWS = (
-        "rows",
-        "measurements contradict each other",
-        "Measurements contradict each other: some are faulty, or the mask is wrong.",
     )
     STUCK = (
         "stuck",

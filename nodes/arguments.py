@@ -75,8 +75,8 @@ def checked(error: type[SparseskinError]) -> Callable[[Callable[P, R]], Callable
                 raise error(f"{name}: {cause}; expected: {name}({expected})") from cause
             for key, value in bound.arguments.items():
                 if allowed := _what_is_allowed(value, hints()[key]):
-                    shown = "a masked array" if has_masked(value) else f"{value!r:.60}"
-                    raise error(f"{name}: {key} = {shown} is not allowed; allowed: {allowed}")
+                    value_text = "a masked array" if has_masked(value) else f"{value!r:.60}"
+                    raise error(f"{name}: {key} = {value_text} is not allowed; allowed: {allowed}")
             return function(*args, **kwargs)
 
         return call
@@ -92,14 +92,15 @@ def _what_is_allowed(value: object, hint: Any) -> str:
     words = []
     for option in typing.get_args(hint) if is_union else (hint,):
         if option in _CHECKS:
-            is_allowed, what = _CHECKS[option]
+            is_allowed, wording = _CHECKS[option]
         elif is_union and isinstance(option, type):
-            is_allowed, what = functools.partial(_is_instance, option), f"a {option.__name__}"
+            is_allowed = functools.partial(_is_instance, option)
+            wording = f"a {option.__name__}"
         else:
             return ""
         if is_allowed(value):
             return ""
-        words.append(what)
+        words.append(wording)
     return " or ".join(words)
 
 

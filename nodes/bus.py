@@ -83,14 +83,14 @@ class Bus:
 
     def reports(self) -> dict[str, dict[str, Any]]:
         """Reports by node name, of the nodes that have one."""
-        found = {name: host.node.report() for name, host in self.hosts.items()}
-        return {name: report for name, report in found.items() if report}
+        reports = ((name, host.node.report()) for name, host in self.hosts.items())
+        return {name: report for name, report in reports if report}
 
     def _deliver(self, messages: Iterable[Message]) -> list[Message]:
         """Deliver messages and all that follow from them, in order; return all of them."""
         delivered: list[Message] = []
-        for first in messages:
-            self._queue.append(first)
+        for published in messages:
+            self._queue.append(published)
             while self._queue:
                 message = self._queue.popleft()
                 delivered.append(message)

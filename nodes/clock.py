@@ -103,10 +103,10 @@ class ClockOffset:
             return False
         offset_ns = ((t2_ns - t1_ns) + (t3_ns - t4_ns)) // 2
         exchange = _Exchange(t4_ns, offset_ns, round_trip_ns)
-        known = self.estimate(t4_ns)
-        if known is not None:
-            difference_ns = abs(offset_ns - known.offset_ns)
-            if difference_ns > known.uncertainty_ns + exchange.uncertainty_ns(t4_ns):
+        estimate = self.estimate(t4_ns)
+        if estimate is not None:
+            difference_ns = abs(offset_ns - estimate.offset_ns)
+            if difference_ns > estimate.uncertainty_ns + exchange.uncertainty_ns(t4_ns):
                 self._contradictions += 1
                 if self._contradictions < MAX_CONTRADICTIONS:
                     return False

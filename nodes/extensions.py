@@ -44,8 +44,8 @@ def offered(group: str) -> "dict[str, EntryPoint]":
     """Entry points of a group by name, in alphabetical order."""
     from importlib.metadata import entry_points  # takes time, and the core alone needs none
 
-    found = {point.name: point for point in entry_points(group=group)}
-    return {name: found[name] for name in sorted(found)}
+    by_name = {point.name: point for point in entry_points(group=group)}
+    return {name: by_name[name] for name in sorted(by_name)}
 
 
 def added(group: str, own: Container[str]) -> "dict[str, EntryPoint]":
@@ -96,13 +96,13 @@ def load(group: str, name: str, error: type[SparseskinError], where: str = "") -
 @cache
 def loaded(group: str) -> dict[str, Any]:
     """All of a group that can be imported, by name."""
-    found = {}
+    objects = {}
     for name in offered(group):
         try:
-            found[name] = load(group, name, SparseskinError)
+            objects[name] = load(group, name, SparseskinError)
         except SparseskinError:
             continue  # it stops no other; `failures` names it
-    return found
+    return objects
 
 
 def failures(group: str) -> str:

@@ -42,15 +42,15 @@ def check_private(folder: Path) -> None:
     Raises SparseskinError if it is no folder, belongs to another user, or its mode is not 0700.
     """
     try:
-        found = folder.lstat()
+        status = folder.lstat()
     except OSError as error:
         raise SparseskinError(f"{folder}: {error.strerror}") from error
-    if not stat.S_ISDIR(found.st_mode):
-        fault = "is a link" if stat.S_ISLNK(found.st_mode) else "is no folder"
-    elif found.st_uid != os.geteuid():
-        fault = f"belongs to user {found.st_uid}"
-    elif found.st_mode & 0o077:
-        fault = f"mode {stat.S_IMODE(found.st_mode):04o} lets other users in"
+    if not stat.S_ISDIR(status.st_mode):
+        fault = "is a link" if stat.S_ISLNK(status.st_mode) else "is no folder"
+    elif status.st_uid != os.geteuid():
+        fault = f"belongs to user {status.st_uid}"
+    elif status.st_mode & 0o077:
+        fault = f"mode {stat.S_IMODE(status.st_mode):04o} lets other users in"
     else:
         return
     raise SparseskinError(f"{folder}: {fault} (allowed: a folder of your own with mode 0700)")
@@ -74,9 +74,9 @@ def check_link(path: Path) -> None:
     Raises OSError.
     """
     with contextlib.suppress(FileNotFoundError):
-        found = path.lstat()
-        if stat.S_ISLNK(found.st_mode) and found.st_uid not in (0, os.geteuid()):
-            raise OSError(errno.EPERM, f"is a link of user {found.st_uid}")
+        status = path.lstat()
+        if stat.S_ISLNK(status.st_mode) and status.st_uid not in (0, os.geteuid()):
+            raise OSError(errno.EPERM, f"is a link of user {status.st_uid}")
 
 
 def overwrite(path: Path, data: bytes) -> None:

@@ -39,9 +39,7 @@ def join(nodes: NodeSpecs) -> list[Link]:
             matching = fnmatch.filter(writers, pattern) if "*" in pattern else [pattern]
             for topic in matching:
                 if topic not in writers:
-                    like = [t for t in writers if t.rpartition("/")[2] == topic.rpartition("/")[2]]
-                    known = ", ".join(sorted(writers))
-                    hint = did_you_mean(topic, like) if like else f" (written: {known})"
+                    hint = _hint(topic, writers)
                     raise SettingsError(f"{name}: reads {topic}, which no node writes{hint}")
                 links.append(Link(topic, writers[topic], name))
             if not matching:
@@ -49,3 +47,12 @@ def join(nodes: NodeSpecs) -> list[Link]:
         optional = [topic for topic in cls.optional_inputs(settings) if topic in writers]
         links += [Link(topic, writers[topic], name) for topic in optional]
     return links
+
+
+def _hint(topic: str, writers: Mapping[str, str]) -> str:
+    """What may have been meant: topics of the same schema, or else all that are written."""
+    schema = topic.rpartition("/")[2]
+    same_schema = [written for written in writers if written.rpartition("/")[2] == schema]
+    if same_schema:
+        return did_you_mean(topic, same_schema)
+    return f" (written: {', '.join(sorted(writers))})"

@@ -30,11 +30,11 @@ def search_here(module: str) -> str:
     that is installed is hidden. For any other module they are not searched: with a file `numba.py`,
     whoever can write to a folder would have code run by all who start a graph there without numba.
     """
-    here = os.getcwd()
-    folders = list(dict.fromkeys([*_SEARCHED, here]))
+    current = os.getcwd()
+    folders = list(dict.fromkeys([*_SEARCHED, current]))
     if not _is_installed(module.partition(".")[0]):
-        known = {folder or here for folder in sys.path}
-        sys.path += [folder for folder in folders if folder not in known]
+        on_path = {folder or current for folder in sys.path}
+        sys.path += [folder for folder in folders if folder not in on_path]
     return " or ".join(folders)
 
 
@@ -42,8 +42,10 @@ def _is_installed(package: str) -> bool:
     if package in sys.modules:
         return True
     with suppress(ImportError, ValueError):
-        found = importlib.util.find_spec(package)
-        return found is not None and found.origin is not None  # a folder alone is no module
+        module_spec = importlib.util.find_spec(package)
+        return (
+            module_spec is not None and module_spec.origin is not None
+        )  # a folder alone is no module
     return False
 
 
@@ -79,9 +81,9 @@ def one_line(error: BaseException) -> str:
     """Type and text of an exception, and the line of the user's code that raised it, if any."""
     text = " ".join(str(error)[:MAX_TEXT].split())
     line = f"{type(error).__name__}: {text}" if text else type(error).__name__
-    here = os.path.join(os.getcwd(), "")
+    prefix = os.path.join(os.getcwd(), "")
     places = [
-        f" ({frame.f_code.co_filename.removeprefix(here)}:{number})"
+        f" ({frame.f_code.co_filename.removeprefix(prefix)}:{number})"
         for frame, number in traceback.walk_tb(error.__traceback__)
         if str(frame.f_globals.get("__name__")).partition(".")[0] not in _NOT_THE_USERS
     ]
@@ -104,28 +106,28 @@ def find_callable(target: str, error: type[SparseskinError]) -> Callable[..., An
     parts = [*module_name.split("."), *attribute.split(".")]
     if not colon or not all(part.isidentifier() for part in parts):
         raise error(f"{target[:80]!r}: expected module:callable, e.g. my_skin:frames")
-    here = search_here(module_name)
+    searched = search_here(module_name)
     importlib.invalidate_caches()
     try:
-        found: Any = importlib.import_module(module_name)
+        target_object: Any = importlib.import_module(module_name)
     except ModuleNotFoundError as cause:
         if is_missing(module_name, cause):
             raise error(
-                f"{target}: there is no module {cause.name!r}, installed or in {here}"
+                f"{target}: there is no module {cause.name!r}, installed or in {searched}"
             ) from cause
         raise error(f"{target}: importing it failed: {one_line(cause)}") from cause
     # SystemExit: a module that calls sys.exit() when imported.
     except (Exception, SystemExit) as cause:
         raise error(f"{target}: importing it failed: {one_line(cause)}") from cause
     for part in attribute.split("."):
-        if not hasattr(found, part):
-            hint = suggestion(part, dir(found))
+        if not hasattr(target_object, part):
+            hint = suggestion(part, dir(target_object))
             raise error(f"{target}: {module_name} has no {attribute!r}{hint}")
-        found = getattr(found, part)
-    if not callable(found):
-        raise error(f"{target}: is {type(found).__name__}, which cannot be called")
-    named: Callable[..., Any] = found
-    return named
+        target_object = getattr(target_object, part)
+    if not callable(target_object):
+        raise error(f"{target}: is {type(target_object).__name__}, which cannot be called")
+    function: Callable[..., Any] = target_object
+    return function
 
 
 def is_missing(module: str, cause: ModuleNotFoundError) -> bool:

@@ -28,13 +28,13 @@ def is_latched(topic: str) -> bool:
 
 @dataclass
 class TopicCount:
-    """Counters of the messages of a topic, over all runs of its publisher: those `before` its
-    present run, the `expected` next number in that. A `late` reader counts from its first message.
+    """Counters of the messages of a topic, over all runs of its publisher: `n_of_earlier_runs`, and
+    `expected`, the next number in its present run. A `late` reader counts from its first message.
     """
 
     late: bool = False
     run_id: str = ""
-    before: int = 0
+    n_of_earlier_runs: int = 0
     expected: int = 0
     received: int = 0
     lost: int = 0
@@ -44,13 +44,14 @@ class TopicCount:
     @property
     def total(self) -> int:
         """Number of messages sent, as far as it is known."""
-        return self.before + self.expected
+        return self.n_of_earlier_runs + self.expected
 
     def admit(self, message: Message) -> bool:
         """Count a message; False for one received before (a latched topic repeats)."""
         self._enter(message.run_id)
         if self.late and not self.received:
-            self.before, self.expected = -message.seq, message.seq
+            self.n_of_earlier_runs = -message.seq
+            self.expected = message.seq
         if message.seq < self.expected:
             return False
         if not message.latched:
@@ -69,8 +70,10 @@ class TopicCount:
 
     def _enter(self, run_id: str) -> None:
         if run_id != self.run_id:
-            self.before += self.expected
-            self.run_id, self.expected, self.ended = run_id, 0, False
+            self.n_of_earlier_runs += self.expected
+            self.run_id = run_id
+            self.expected = 0
+            self.ended = False
 
 
 @dataclass
@@ -85,8 +88,8 @@ class Counts:
     def as_dict(self) -> dict[str, Any]:
         """Counters as plain data, for status lines and summaries."""
         counts: dict[str, Any] = {
-            what: {topic: getattr(count, what) for topic, count in self.inputs.items()}
-            for what in COUNTED
+            counter: {topic: getattr(count, counter) for topic, count in self.inputs.items()}
+            for counter in COUNTED
         }
         counts |= {"published": dict(self.published), "refused": dict(self.refused)}
         return counts | ({"errors": self.errors} if self.errors else {})

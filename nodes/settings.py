@@ -53,10 +53,10 @@ class Settings:
     @classmethod
     def from_mapping(cls, values: Mapping[str, Any]) -> Self:
         """Make settings from names and values of a launch file, or raise SettingsError."""
-        known = [field.name for field in dataclasses.fields(cls)]
+        keys = [field.name for field in dataclasses.fields(cls)]
         for key in values:
-            if key not in known:
-                raise SettingsError(f"{key}: unknown key{did_you_mean(key, known)}")
+            if key not in keys:
+                raise SettingsError(f"{key}: unknown key{did_you_mean(key, keys)}")
         return cls(**values)
 
     def changed(self, changes: Mapping[str, Any]) -> Self:
@@ -71,16 +71,16 @@ class Settings:
                     f"{key}: cannot be changed while the graph runs "
                     f"(allowed: {', '.join(live) or 'none'})"
                 )
-            known = fields[key].metadata["range"].known
-            if known and changes[key] is not None and changes[key] not in known:
+            registered = fields[key].metadata["range"].known
+            if registered and changes[key] is not None and changes[key] not in registered:
                 # A module of the user's own is imported for a launch file only.
                 raise SettingsError(
                     f"{key}: {changes[key]!r} is not allowed while the graph runs"
-                    f"{nearest_of(str(changes[key]), known)}"
+                    f"{nearest_of(str(changes[key]), registered)}"
                 )
-        made = dataclasses.replace(self, **changes)
-        made.check()
-        return made
+        settings = dataclasses.replace(self, **changes)
+        settings.check()
+        return settings
 
     def live_values(self) -> dict[str, Any]:
         """Values of the settings that can be changed while the graph runs."""
@@ -94,8 +94,8 @@ class Settings:
                 "key": name,
                 "type": type_text,
                 "doc": allowed.doc,
-                "low": allowed.low if math.isfinite(allowed.low) else None,
-                "high": allowed.high if math.isfinite(allowed.high) else None,
+                "low": _if_finite(allowed.low),
+                "high": _if_finite(allowed.high),
                 "choices": list(allowed.choices),
                 "known": list(allowed.known),
                 "live": allowed.live,
@@ -165,6 +165,10 @@ def check_patches(place: str, names: tuple[str, ...]) -> None:
         raise SettingsError(f"{place}: more than {MAX_NAMES} characters of names in all")
 
 
+def _if_finite(limit: float) -> float | None:
+    return limit if math.isfinite(limit) else None
+
+
 def _declared(cls: Any) -> Iterator[tuple[str, str, Range]]:
     """Name, type and range of every setting."""
     for field in dataclasses.fields(cls):
@@ -183,7 +187,7 @@ def _checked(name: str, value: Any, hint: Any) -> Any:
             if isinstance(value, list | tuple):
                 with suppress(SettingsError):
                     kind = typing.get_args(option)[0]
-                    return tuple(_checked(name, one, kind) for one in value)
+                    return tuple(_checked(name, element, kind) for element in value)
         elif typing.get_origin(option) is dict:
             if isinstance(value, Mapping):
                 return dict(value)
@@ -216,11 +220,11 @@ _TYPE_NAMES: dict[Any, str] = {
 
 def _check_range(name: str, value: Any, allowed: Range) -> None:
     if isinstance(value, tuple):
-        for one in value:
-            _check_range(name, one, allowed)
+        for element in value:
+            _check_range(name, element, allowed)
     elif isinstance(value, float) or is_whole(value):
         if not is_real(value, allowed.low, allowed.high):
-            shown = f"{value!r}"[:40]
-            raise SettingsError(f"{name}: {shown} is outside {allowed.low}..{allowed.high}")
+            value_text = f"{value!r}"[:40]
+            raise SettingsError(f"{name}: {value_text} is outside {allowed.low}..{allowed.high}")
     elif allowed.choices and isinstance(value, str) and value not in allowed.choices:
         raise SettingsError(f"{name}: {value!r} is not allowed{nearest_of(value, allowed.choices)}")

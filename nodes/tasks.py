@@ -39,28 +39,29 @@ def make_executor(spec: str) -> Executor:
     """
     if spec == "serial":
         return ThreadPoolExecutor(1)
-    kind, colon, rest = spec.partition(":")
-    if not (kind and colon and rest) or (rest.isdecimal() and kind not in KINDS):
+    kind, colon, argument = spec.partition(":")
+    if not (kind and colon and argument) or (argument.isdecimal() and kind not in KINDS):
         raise SettingsError(f"--executor {spec}: expected {FORMS}{did_you_mean(kind, KINDS)}")
     if kind in KINDS:
-        if not rest.isdecimal() or not 1 <= int(rest) <= MAX_WORKERS:
+        if not argument.isdecimal() or not 1 <= int(argument) <= MAX_WORKERS:
             raise SettingsError(f"--executor {spec}: expected 1..{MAX_WORKERS} workers")
         if kind == "thread":
-            return ThreadPoolExecutor(int(rest))
+            return ThreadPoolExecutor(int(argument))
         for threads in SINGLE_THREADED:
             os.environ.setdefault(threads, "1")
         # Spawned: a forked worker would inherit locks held by threads of this process.
-        return ProcessPoolExecutor(int(rest), mp_context=multiprocessing.get_context("spawn"))
+        return ProcessPoolExecutor(int(argument), mp_context=multiprocessing.get_context("spawn"))
     make = find_callable(spec, SettingsError)
     try:
-        made = make()
+        executor = make()
     except Exception as error:
         raise SettingsError(f"--executor {spec}: {type(error).__name__}: {error}") from error
-    if not isinstance(made, Executor):
+    if not isinstance(executor, Executor):
         raise SettingsError(
-            f"--executor {spec}: made {type(made).__name__}, expected a concurrent.futures.Executor"
+            f"--executor {spec}: made {type(executor).__name__}, "
+            "expected a concurrent.futures.Executor"
         )
-    return made
+    return executor
 
 
 def computed(
@@ -75,7 +76,7 @@ def computed(
     """
     if not tasks:
         return
-    before = set(multiprocessing.active_children())
+    children_before = set(multiprocessing.active_children())
     executor: Executor = make_executor(executor_name)
     try:
         # Ctrl-C reaches the workers too; they inherit that they ignore it.
@@ -85,7 +86,7 @@ def computed(
             yield futures[future], future
     except BaseException:
         executor.shutdown(wait=False, cancel_futures=True)
-        for worker in set(multiprocessing.active_children()) - before:
+        for worker in set(multiprocessing.active_children()) - children_before:
             worker.terminate()
         raise
     executor.shutdown()
@@ -104,8 +105,8 @@ def _interrupts_ignored() -> Iterator[None]:
     if threading.current_thread() is not threading.main_thread():
         yield
         return
-    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
+    handler = signal.signal(signal.SIGINT, signal.SIG_IGN)
     try:
         yield
     finally:
-        signal.signal(signal.SIGINT, before)
+        signal.signal(signal.SIGINT, handler)

@@ -8,15 +8,18 @@ from sparseskin.nodes.numerics.arrays import Floats
 SIGMAS = 5.0
 """Standard deviations of noise above which a frame is in contact. Chosen: of 4096 untouched taxels,
 one exceeds them in one of 850 frames."""
-DIFFERENCE, CLIPPED = 0.954, 0.392
-"""Median difference of two readings of normal noise over its deviation; clipped at 0. Derived."""
+DIFFERENCE = 0.954
+"""Median difference of two readings of normal noise over its deviation. Derived."""
+CLIPPED = 0.392
+"""The same of readings that are clipped at 0. Derived."""
 SMOOTHING = 0.1
 """Part of a frame in the running mean of the noise. Chosen."""
 SAMPLE = 512
 """Number of taxels beyond which the median is that of a part of them. Chosen: the running mean then
 has a deviation of 1.3 %, and the median of 4096 takes as long as all else of a frame in a monitor.
 An odd number of taxels apart, so that they are not of the same few columns."""
-FALL, RISE = 0.98, 1.001
+FALL = 0.98
+RISE = 1.001
 """Factors by which a measured noise follows lower and higher frames: it is that of the 5 % of
 frames with the least. Chosen: 35 frames halve it, and a touch of 400 raises it by half."""
 
@@ -52,14 +55,14 @@ class MeasuredNoise:
 
     def update(self, forces: Floats) -> float:
         """Add a frame, float32 (n,); return `sigma`."""
-        last = self._last
+        previous = self._last
         self._last = forces
-        if last is None or last.shape != forces.shape:
+        if previous is None or previous.shape != forces.shape:
             return self.sigma
         part = np.s_[:: forces.size // SAMPLE | 1]
-        change = np.abs(forces[part] - last[part])
+        change = np.abs(forces[part] - previous[part])
         # Equal frames may be the same one, read twice.
-        if not change.any() and np.array_equal(last, forces):
+        if not change.any() and np.array_equal(previous, forces):
             return self.sigma
         is_clipped = np.count_nonzero(forces) < 0.75 * forces.size
         now = _median(change) / (CLIPPED if is_clipped else DIFFERENCE)

@@ -94,35 +94,37 @@ def configure(parser: argparse.ArgumentParser) -> None:
         "where it was."
     )
     parser.formatter_class = argparse.RawDescriptionHelpFormatter
-    more = rare(parser)
-    known = {name: study.summary for name, study in studies().items()}
-    parser.epilog = "\n".join(f"{name:<15} {summary}" for name, summary in known.items())
-    name = parser.add_argument("name", metavar="STUDY", help=f"study: {', '.join(known)}")
+    rare_options = rare(parser)
+    summaries = {name: study.summary for name, study in studies().items()}
+    parser.epilog = "\n".join(f"{name:<15} {summary}" for name, summary in summaries.items())
+    name = parser.add_argument("name", metavar="STUDY", help=f"study: {', '.join(summaries)}")
     # Read by argcomplete: candidates for the word, and what each means.
-    name.completer = lambda **_: known  # type: ignore[attr-defined]
+    name.completer = lambda **_: summaries  # type: ignore[attr-defined]
     parser.add_argument(
         "--quick", action="store_true", help="fewer frames and points: to see that it runs"
     )
     parser.add_argument(
         "--out", metavar="DIR", type=Path, help="folder to write to (default: out/NAME)"
     )
-    more.add_argument(
+    rare_options.add_argument(
         "--executor",
         metavar="HOW",
         default=f"process:{len(os.sched_getaffinity(0))}",
         help=f"where points are computed: {FORMS} (default: %(default)s)",
     )
     about = "accuracy: folder of recordings of real skins"
-    more.add_argument("--recordings", metavar="DIR", type=Path, help=about)
+    rare_options.add_argument("--recordings", metavar="DIR", type=Path, help=about)
     about = "tasks: folder of frames with labels, STEMNIST or one .npz"
-    more.add_argument("--data", metavar="DIR", type=Path, help=about)
-    more.add_argument("--anew", action="store_true", help="delete the points of earlier runs")
+    rare_options.add_argument("--data", metavar="DIR", type=Path, help=about)
+    rare_options.add_argument(
+        "--anew", action="store_true", help="delete the points of earlier runs"
+    )
     about = "seed of noise and Phi (default: 0)"
-    more.add_argument("--seed", type=whole(0, 2**32 - 1), default=0, help=about)
+    rare_options.add_argument("--seed", type=whole(0, 2**32 - 1), default=0, help=about)
     about = "accuracy: number of seeds, from --seed on (default: 1)"
-    more.add_argument("--seeds", metavar="K", type=whole(1, 1000), help=about)
+    rare_options.add_argument("--seeds", metavar="K", type=whole(1, 1000), help=about)
     about = "stability: so many drawn worlds of each kind, and no other section"
-    more.add_argument("--worlds", metavar="K", type=whole(1, 1000), help=about)
+    rare_options.add_argument("--worlds", metavar="K", type=whole(1, 1000), help=about)
     for option, about in (
         (
             "--constants",
@@ -130,17 +132,19 @@ def configure(parser: argparse.ArgumentParser) -> None:
         ),
         ("--alone", "single frames beside total variation (extra peers)"),
     ):
-        more.add_argument(option, action="store_true", default=None, help=f"accuracy: {about}")
+        rare_options.add_argument(
+            option, action="store_true", default=None, help=f"accuracy: {about}"
+        )
     parser.set_defaults(run=_study)
 
 
 def _study(arguments: argparse.Namespace) -> int:
     name: str = arguments.name
-    known = studies()
-    if name not in known:
-        hint = f"{nearest_of(name, known)}{failures(GROUP)}"
+    by_name = studies()
+    if name not in by_name:
+        hint = f"{nearest_of(name, by_name)}{failures(GROUP)}"
         raise SettingsError(f"study {name!r} is not known{hint}")
-    study = known[name]
+    study = by_name[name]
     absent = [package for package in EXTRA if find_spec(package) is None]
     if absent:
         missing = f"{', '.join(absent)} {'is' if len(absent) == 1 else 'are'} not installed"
@@ -151,7 +155,9 @@ def _study(arguments: argparse.Namespace) -> int:
         if value is None:
             continue
         if option not in study.options:
-            takers = ", ".join(one for one in known if option in known[one].options)
+            takers = ", ".join(
+                study_name for study_name in by_name if option in by_name[study_name].options
+            )
             raise SettingsError(f"--{option}: study {name!r} takes none; allowed: {takers}")
         options[option] = value
     out: Path = arguments.out or Path("out") / (f"{name}-quick" if arguments.quick else name)

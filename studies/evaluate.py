@@ -271,8 +271,8 @@ class Scores:
 
     def _taxels(self, image: Floats) -> Doubles:
         """Values of the taxels that exist."""
-        found: Doubles = (image if self.mask is None else image[self.mask]).astype(np.float64)
-        return found
+        values: Doubles = (image if self.mask is None else image[self.mask]).astype(np.float64)
+        return values
 
     @property
     def contact_db(self) -> list[float]:

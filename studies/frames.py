@@ -124,22 +124,22 @@ class SceneFrames:
 
     def open(self, seed: int) -> Take:
         """See `Frames`."""
-        found = scene_of(self.scene)
-        return Take(np.ones(found.shape, dtype=np.bool_), found.f_max_n, lambda: self._parts(seed))
+        scene = scene_of(self.scene)
+        return Take(np.ones(scene.shape, dtype=np.bool_), scene.f_max_n, lambda: self._parts(seed))
 
     def windows(self, seed: int) -> Iterator[tuple[int, int | None]]:
         """First frame and end of each part, counted from the beginning of the scene."""
         contact = first_contact(self.scene, seed)
-        first = 0 if self.first is None else max(0, contact + self.first)
-        yield first, None if self.stop is None else contact + self.stop
+        begin = 0 if self.first is None else max(0, contact + self.first)
+        yield begin, None if self.stop is None else contact + self.stop
         if self.later:
             half = (contact + scene_of(self.scene).n_steps) // 2
             yield half, half + self.later * self.every
 
     def _parts(self, seed: int) -> Iterator[Pairs]:
-        for first, stop in self.windows(seed):
-            asked = (self.scene, seed, first, stop, self.every, self.noise)
-            is_kept = stop is not None and stop - first <= MOST_KEPT * self.every
+        for begin, stop in self.windows(seed):
+            asked = (self.scene, seed, begin, stop, self.every, self.noise)
+            is_kept = stop is not None and stop - begin <= MOST_KEPT * self.every
             yield _kept(*asked) if is_kept else scene_frames(*asked)
 
 
@@ -174,8 +174,8 @@ class PressFrames:
         how["f_max"] = self.strength * PAPER_F_MAX_N
 
         def parts() -> Iterable[Pairs]:
-            chosen = self.body, self.shape, self.n_frames, seed
-            return [list(press_frames(*chosen, mask=mask, noise=NOISE, **how))[self.skip :]]
+            press = self.body, self.shape, self.n_frames, seed
+            return [list(press_frames(*press, mask=mask, noise=NOISE, **how))[self.skip :]]
 
         return Take(mask, PAPER_F_MAX_N, parts)
 
@@ -195,10 +195,10 @@ class MeetingFrames:
         places = np.indices((self.side, self.side)) - (self.side - 1) / 2
 
         def frame(k: int, rng: np.random.Generator) -> tuple[Floats, Floats]:
-            apart = self.radius * (0.6 + 1.4 * abs(np.cos(np.pi * k / 80)))
+            half_distance = self.radius * (0.6 + 1.4 * abs(np.cos(np.pi * k / 80)))
             truth = np.zeros(places.shape[1:], dtype=np.float32)
             for force, sign in ((0.8, 1), (0.5, -1)):
-                u = np.linalg.norm(places - sign * apart * along, axis=0) / self.radius
+                u = np.linalg.norm(places - sign * half_distance * along, axis=0) / self.radius
                 np.maximum(truth, force * np.sqrt(np.maximum(0, 1 - u * u)), out=truth)
             return truth, NOISE.apply(truth, rng)
 
@@ -280,13 +280,20 @@ class RecordedFrames:
         part = part_of(self.path, self.n_most)
         pairs = list(zip(part.truth, part.frames, strict=True))
         unscored = min(self.unscored, len(pairs) - 1)
-        known = part.norm, part.total, unscored, part.pitch_mm
-        return Take(part.mask, part.f_max, lambda: [pairs], 0.0, *known)
+        scaling = part.norm, part.total, unscored, part.pitch_mm
+        return Take(part.mask, part.f_max, lambda: [pairs], 0.0, *scaling)
 
 
 KINDS = {
-    one.__name__: one
-    for one in (SceneFrames, PressFrames, MeetingFrames, UntouchedFrames, PadFrames, RecordedFrames)
+    kind.__name__: kind
+    for kind in (
+        SceneFrames,
+        PressFrames,
+        MeetingFrames,
+        UntouchedFrames,
+        PadFrames,
+        RecordedFrames,
+    )
 }
 """Sources by the names with which points state them."""
 
@@ -342,12 +349,12 @@ def part_of(path: str, n_most: int) -> Part:
     if not touched.any():
         raise SparseskinError(f"{path}: nothing touches the skin, all readings are 0")
     norm, total = (float(np.percentile(of[touched], 95)) for of in (norms, totals))
-    first = _busiest(norms > LOADED * norm, n_most)
-    part = slice(first, first + n_most)
+    begin = _busiest(norms > LOADED * norm, n_most)
+    part = slice(begin, begin + n_most)
     spacing_ms = 1e3 / float(read["rate_hz"]) if "rate_hz" in read else None
     pitch_mm = 1e3 * float(read["pitch_m"]) if "pitch_m" in read else None
-    known = mask, float(read["f_max"]), read["unit"], spacing_ms, pitch_mm
-    return Part(frames[part], truth[part], *known, first, len(frames), norm, total)
+    of_recording = mask, float(read["f_max"]), read["unit"], spacing_ms, pitch_mm
+    return Part(frames[part], truth[part], *of_recording, begin, len(frames), norm, total)
 
 
 def _busiest(loaded: np.ndarray[tuple[int], np.dtype[np.bool_]], n_most: int) -> int:
@@ -363,13 +370,13 @@ def files_in(folder: Path) -> list[Path]:
     """Files of a folder whose suffix is that of a recording, by name; StudyError if there are
     none.
     """
-    known = (*suffixes(), FILE_SUFFIX)
+    allowed = (*suffixes(), FILE_SUFFIX)
     try:
-        files = sorted(path for path in folder.iterdir() if path.suffix.lower() in known)
+        files = sorted(path for path in folder.iterdir() if path.suffix.lower() in allowed)
     except OSError as error:
         raise StudyError(f"--recordings {folder}: {error.strerror}") from error
     if not files:
-        raise StudyError(f"--recordings {folder}: no recording; allowed are {', '.join(known)}")
+        raise StudyError(f"--recordings {folder}: no recording; allowed are {', '.join(allowed)}")
     return files
 
 

@@ -154,14 +154,23 @@ class Experiment:
 
     def points(self) -> list[dict[str, Any]]:
         """Points as `scored` takes them."""
-        named = {name: asdict(one) for name, one in self.candidates.items()}
-        groups = [{name: one} for name, one in named.items()] if self.timed else [named]
-        every = product(
-            map(stated, self.frames), map(asdict, self.measurements), groups, self.seeds
-        )
-        names = ("frames", "measurement", "candidates", "seed")
-        scores = list(self.scores)
-        return [{**dict(zip(names, one, strict=True)), "scores": scores} for one in every]
+        candidates = {name: asdict(candidate) for name, candidate in self.candidates.items()}
+        groups = [candidates]
+        if self.timed:
+            # Alone: candidates of one point run in turn.
+            groups = [{name: candidate} for name, candidate in candidates.items()]
+        return [
+            {
+                "frames": frames,
+                "measurement": measurement,
+                "candidates": group,
+                "seed": seed,
+                "scores": list(self.scores),
+            }
+            for frames, measurement, group, seed in product(
+                map(stated, self.frames), map(asdict, self.measurements), groups, self.seeds
+            )
+        ]
 
     def run(self, out: Path, executor: str) -> pd.DataFrame:
         """Compute what is not known yet in the folder of the study; see `points.compute`. A row a
@@ -169,9 +178,9 @@ class Experiment:
         its scores, and refused: why it could not be run, or "".
         """
         points = self.points()
-        found = compute(scored, points, out, TIMED_ON if self.timed else executor, self.label)
+        results = compute(scored, points, out, TIMED_ON if self.timed else executor, self.label)
         keys = [{**p["frames"], **p["measurement"], "seed": p["seed"]} for p in points]
-        return method_rows(keys, found).drop(columns="kind", errors="ignore")
+        return method_rows(keys, results).drop(columns="kind", errors="ignore")
 
 
 def scored(point: dict[str, Any]) -> dict[str, Any]:
@@ -194,11 +203,11 @@ def scored(point: dict[str, Any]) -> dict[str, Any]:
             if isinstance(estimator, Method | Library):
                 estimator.reset()
         evaluate(estimators, part, scores, take.unscored)
-    found = {}
-    for name, one in scores.items():
-        figures = {of: None if one.refused else SCORES[of](one) for of in point["scores"]}
-        found[name] = {"refused": one.refused, **figures}
-    return {"methods": found}
+    methods = {}
+    for name, score in scores.items():
+        figures = {of: None if score.refused else SCORES[of](score) for of in point["scores"]}
+        methods[name] = {"refused": score.refused, **figures}
+    return {"methods": methods}
 
 
 def method_rows(
@@ -231,7 +240,7 @@ def _percentile(values: Sequence[float], percent: float, times: float = 1.0) -> 
 
 def _firsts(scores: Scores) -> list[bool]:
     """Marks of the contact frames whose last one was not in contact."""
-    return [now and not before for before, now in pairwise([False, *scores.contact])]
+    return [touches and not touched for touched, touches in pairwise([False, *scores.contact])]
 
 
 def _touched_mn(scores: Scores) -> float | None:
@@ -260,16 +269,16 @@ SCORES: dict[str, Callable[[Scores], Any]] = {
     "mean_db": lambda s: _mean(s.contact_db),
     "min_db": _of_contact(lambda s: min(s.contact_db)),
     "first_db": lambda s: _mean(
-        [db for db, first in zip(s.psnr_db, _firsts(s), strict=True) if first]
+        [db for db, is_first in zip(s.psnr_db, _firsts(s), strict=True) if is_first]
     ),
-    "psnr_db": lambda s: [round(one, 3) for one in s.psnr_db],
+    "psnr_db": lambda s: [round(db, 3) for db in s.psnr_db],
     "highest_db": lambda s: max(s.psnr_db),
     # Root mean square error of the touched taxels in contact frames, millinewtons.
     "touched_mn": _touched_mn,
     # Relative error of contact frames in %, and part of them that has vanished.
     "median": _of_contact(lambda s: 100 * float(np.median(s.relative))),
     "mean": _of_contact(lambda s: _mean(s.relative, 100)),
-    "vanished": _of_contact(lambda s: _mean([one >= VANISHED for one in s.relative], 100)),
+    "vanished": _of_contact(lambda s: _mean([error >= VANISHED for error in s.relative], 100)),
     # Part of the untouched frames that are ghosts; of all, wrong and right frames that are marked.
     "ghosts": lambda s: _mean(s.ghosts, 100),
     "flagged": lambda s: _mean([flag for flag, _ in s.flags], 100),
@@ -281,7 +290,7 @@ SCORES: dict[str, Callable[[Scores], Any]] = {
     "n_flagged": lambda s: len(_marked(s)),
     "flagged_poor": lambda s: _mean([relative > POOR for relative in _marked(s)], 100),
     # Estimated over true RMS error of contact frames; part of them within a factor.
-    "estimate_close": lambda s: _mean([1 / CLOSE < one < CLOSE for one in s.estimates], 100),
+    "estimate_close": lambda s: _mean([1 / CLOSE < ratio < CLOSE for ratio in s.estimates], 100),
     **{
         f"estimate_{name}": lambda s, percent=percent: _percentile(s.estimates, percent)  # type: ignore[misc]
         for name, percent in (("low", 5), ("median", 50), ("high", 95))

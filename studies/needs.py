@@ -75,7 +75,7 @@ def variants(scene: Scene) -> dict[str, Variant]:
     steps = FINER * scene.n_steps
     step_ns = scene.dt_ns // FINER
     finer = Variant(False, replace(scene, n_steps=steps, dt_ns=step_ns), finer=FINER)
-    found = {
+    variants = {
         "damping of the skin": Variant(True, replace(scene, surface=replace(surface, damping=0.0))),
         "round taxels": Variant(True, replace(scene, body=needles)),
         "moving average": Variant(True, scene, smoothing_steps=1),
@@ -86,10 +86,10 @@ def variants(scene: Scene) -> dict[str, Variant]:
     }
     if grounded:
         deadened = replace(surface, ground_damping=0.0)
-        found["damping of the ground"] = Variant(True, replace(scene, surface=deadened))
+        variants["damping of the ground"] = Variant(True, replace(scene, surface=deadened))
     if len(dof) == 1:
-        found["pitch and roll"] = Variant(False, replace(scene, dof=("z", "pitch", "roll")))
-    return found
+        variants["pitch and roll"] = Variant(False, replace(scene, dof=("z", "pitch", "roll")))
+    return variants
 
 
 def _with_or_without(scene: Scene, axis: Any) -> Variant:
@@ -150,7 +150,9 @@ def run(out: Path, quick: bool, seed: int, executor: str) -> list[str]:
     rows["verdict"] = rows.apply(verdict, axis=1)
     page = Page(out, "scene-needs", Path(__file__).with_suffix(".md"), quick)
     page.section("", _draw(out, rows), summary(rows))
-    tables = [(f"**{scene}**", _table(some)) for scene, some in rows.groupby("scene", sort=False)]
+    tables = [
+        (f"**{scene}**", _table(of_scene)) for scene, of_scene in rows.groupby("scene", sort=False)
+    ]
     page.section("Each scene", *(part for pair in tables for part in pair))
     page.csv("scene-needs", rows)
     lines = conclusion(rows)
@@ -231,10 +233,10 @@ def _draw(out: Path, rows: pd.DataFrame) -> str:
                 (True, PALETTE[0], "o", "removed"),
                 (False, PALETTE[1], "s", "added"),
             ):
-                some = mine[mine["carried"] == carried]
-                heights = [names.index(name) for name in some["variant"]]
-                changes = some["change_db"]
-                worst = some["worst_db"]
+                of_kind = mine[mine["carried"] == carried]
+                heights = [names.index(name) for name in of_kind["variant"]]
+                changes = of_kind["change_db"]
+                worst = of_kind["worst_db"]
                 axes.hlines(heights, worst, changes, color=colour, lw=1.0)
                 axes.plot(changes, heights, marker, color=colour, label=label)
                 axes.plot(worst, heights, "|", color=colour, ms=9, label=f"{label}: worst frame")

@@ -60,24 +60,26 @@ def compute(
     code = code_fingerprint()
     with _opened(out) as file:
         records = _read(file)
-        known = {key: record["figures"] for key, record in records.items()}
+        figures_of_key = {key: record["figures"] for key, record in records.items()}
         every = dict(zip(keys, map(dict, points), strict=True))
-        missing = {key: point for key, point in every.items() if key not in known}
-        _log_known(label, set(keys), [records[k]["code"] != code for k in set(keys) & set(known)])
+        missing = {key: point for key, point in every.items() if key not in figures_of_key}
+        _log_known(
+            label, set(keys), [records[k]["code"] != code for k in set(keys) & set(figures_of_key)]
+        )
         names = {"label": label, "function": f"{function.__module__}:{function.__qualname__}"}
         bare = not missing or not sys.stderr.isatty()
         with tqdm(total=len(missing), desc=label, unit="point", disable=bare) as bar:
             for key, figures in _computed(function, missing, executor_name):
-                kept = {"key": key, **names, "version": STUDY_VERSION, "code": code}
-                line = json.dumps({**kept, "point": missing[key], "figures": figures})
+                origin = {"key": key, **names, "version": STUDY_VERSION, "code": code}
+                line = json.dumps({**origin, "point": missing[key], "figures": figures})
                 file.write(line.encode() + b"\n")
                 file.flush()
                 # As it would be read: lists for tuples, so that a resumed run has the same.
-                known[key] = json.loads(line)["figures"]
+                figures_of_key[key] = json.loads(line)["figures"]
                 bar.update()
         if missing and bare:
             print(f"{label}: {len(missing)} of {len(set(keys))} points computed", file=sys.stderr)
-    return [known[key] for key in keys]
+    return [figures_of_key[key] for key in keys]
 
 
 def compute_rows(
@@ -85,7 +87,7 @@ def compute_rows(
 ) -> list[Figures]:
     """Return each point together with its figures as one dict; see `compute`."""
     figures = compute(function, points, out, executor_name, label)
-    return [{**point, **found} for point, found in zip(points, figures, strict=True)]
+    return [{**point, **result} for point, result in zip(points, figures, strict=True)]
 
 
 def key_of(function: Function, label: str, point: Point) -> str:

@@ -39,10 +39,10 @@ Field = Callable[[Doubles, Doubles, float], Doubles]
 class Timing:
     """Lengths of the parts of a course, in frames."""
 
-    before: int = N_BEFORE  # untouched, 0 or more
+    untouched: int = N_BEFORE
     ramp: int = RAMP
     pause: int = 10  # between two contacts
-    held: int = 20  # that a sudden contact lasts
+    contact: int = 20  # of one that begins and ends at once
 
 
 def press_frames(
@@ -162,15 +162,15 @@ class _Press:
 
     def frames(self, n_frames: int) -> Iterator[Floats]:
         """Yield the true forces, some frames computed at once."""
-        for first in range(0, n_frames, _CHUNK):
-            k = np.arange(first, min(first + _CHUNK, n_frames))
+        for begin in range(0, n_frames, _CHUNK):
+            k = np.arange(begin, min(begin + _CHUNK, n_frames))
             for force in self._forces(self._places(k), self._angles(k), self._strength(k)):
                 yield np.where(self._mask, force, 0).astype(np.float32)
 
     def _strength(self, k: Indices) -> Doubles:
         """Part of the full force in frames k."""
         timing = self._timing
-        since = k - self._timing.before
+        since = k - self._timing.untouched
         if self._course == "moving":
             part = np.clip((since + 1) / timing.ramp, 0, 1)
         elif self._course == "ramped":
@@ -179,9 +179,9 @@ class _Press:
             falling = 2 * timing.ramp - phase - 1
             part = np.clip(np.minimum(rising, falling) / timing.ramp, 0, 1)
         else:
-            part = np.where(since % (timing.held + timing.pause) < timing.held, 1.0, 0.0)
-        found: Doubles = np.where(since < 0, 0.0, part)
-        return found
+            part = np.where(since % (timing.contact + timing.pause) < timing.contact, 1.0, 0.0)
+        strength: Doubles = np.where(since < 0, 0.0, part)
+        return strength
 
     def _places(self, k: Indices) -> Doubles:
         """Middle of each path in frames k, (frames, paths, 2): rows and columns of a taxel."""
@@ -196,14 +196,14 @@ class _Press:
         timing = self._timing
         turn = 0 * k
         if self._course == "sudden":
-            turn = np.maximum(k - timing.before, 0) // (timing.held + timing.pause)
+            turn = np.maximum(k - timing.untouched, 0) // (timing.contact + timing.pause)
         places = middle + self._jumps[turn % len(self._jumps)]
         return np.broadcast_to(places, (len(k), self._n_paths, 2))
 
     def _angles(self, k: Indices) -> Doubles:
         turning = self._turning if self._course == "moving" else 0.0
-        found: Doubles = self._turned + turning * k.astype(np.float64)
-        return found
+        angles: Doubles = self._turned + turning * k.astype(np.float64)
+        return angles
 
     def _forces(self, places: Doubles, angles: Doubles, strength: Doubles) -> Doubles:
         """Forces on all cells, (frames, rows, columns)."""
@@ -223,12 +223,12 @@ class _Press:
 
     def _fitted(self, active: float) -> float:
         """Return the size in taxels at which the body touches a part of the existing taxels."""
-        wanted = max(1.0, active * np.count_nonzero(self._mask))
+        n_touched = max(1.0, active * np.count_nonzero(self._mask))
         low = _LEAST_SIZE
         high = 2.0 * float(self._sides.max())
         for _ in range(14):
             self._size = math.sqrt(low * high)
-            if np.count_nonzero(self._at_middle() > 0) < wanted:
+            if np.count_nonzero(self._at_middle() > 0) < n_touched:
                 low = self._size
             else:
                 high = self._size

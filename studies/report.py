@@ -181,8 +181,8 @@ class Page:
         self._name = name
         self._quick = quick
         self._command = command or f"study {name}{' --quick' if quick else ''}"
-        first, *parts = notes.read_text(encoding="utf-8").removeprefix("# ").split("\n## ")
-        self._title, _, opening = first.partition("\n")
+        head, *parts = notes.read_text(encoding="utf-8").removeprefix("# ").split("\n## ")
+        self._title, _, opening = head.partition("\n")
         self._notes = dict(part.split("\n", 1) for part in parts) | {"": opening}
         self._sections: list[tuple[str, list[str]]] = []
         self._files: list[str] = []
@@ -191,8 +191,11 @@ class Page:
         """Add a section: its text with these values, then parts that are not empty: Markdown or
         tables.
         """
-        some = [self._notes[title].strip().format(**values), *(p for p in parts if len(p))]
-        texts = [markdown(p) if isinstance(p, pd.DataFrame) else p for p in some]
+        texts_and_tables = [
+            self._notes[title].strip().format(**values),
+            *(p for p in parts if len(p)),
+        ]
+        texts = [markdown(p) if isinstance(p, pd.DataFrame) else p for p in texts_and_tables]
         self._sections.append((title, list(filter(None, texts))))
 
     def csv(self, name: str, rows: Rows) -> None:

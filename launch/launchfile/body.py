@@ -110,10 +110,10 @@ def read_skin(table: object, folder: Path, fault: Fault) -> list[Batch]:
     """
     n_faults = 0
 
-    def note(place: tuple[str, ...], what: str) -> None:
+    def note(place: tuple[str, ...], problem: str) -> None:
         nonlocal n_faults
         n_faults += 1
-        fault(place, what)
+        fault(place, problem)
 
     (stated,), _ = read_table(table, (SKIN,), note, SkinTable())
     if stated.body:
@@ -126,8 +126,8 @@ def read_skin(table: object, folder: Path, fault: Fault) -> list[Batch]:
         try:
             skin = SkinDescription(name=SKIN, **values)
         except SparseskinError as error:
-            key, _, what = str(error).partition(": ")
-            note((SKIN, key), what)
+            key, _, problem = str(error).partition(": ")
+            note((SKIN, key), problem)
         else:
             width = len(str(stated.patches - 1))
             patches = [Patch(f"p{k:0{width}d}", skin) for k in range(stated.patches)]
@@ -173,26 +173,26 @@ def _patch(table: object, where: str, folder: Path) -> Patch:
     """One table [[patches]]; SparseskinError with its place if it is not as stated."""
     if not isinstance(table, dict):
         raise SparseskinError(f"{where}: expected a table [[patches]]")
-    known = (*(one.name for one in dataclasses.fields(PatchTable)), *_OF_SKIN)
+    allowed = (*(table_field.name for table_field in dataclasses.fields(PatchTable)), *_OF_SKIN)
     for key in table:
-        if key not in known:
-            raise SparseskinError(f"{where}.{key[:40]}: unknown key{did_you_mean(key, known)}")
+        if key not in allowed:
+            raise SparseskinError(f"{where}.{key[:40]}: unknown key{did_you_mean(key, allowed)}")
     name: Any = table.get("name")
     if why := bad_name(name):
         raise SparseskinError(f"{where}.name: {why}")
     where = f"{where} ({name})"
-    own = {key: table[key] for key in _OF_SKIN if key in table}
+    skin_keys = {key: table[key] for key in _OF_SKIN if key in table}
     try:
-        stated = PatchTable(**{key: value for key, value in table.items() if key not in own})
+        stated = PatchTable(**{key: value for key, value in table.items() if key not in skin_keys})
     except SparseskinError as error:
         raise SparseskinError(f"{where}.{error}") from error
     if stated.skin:
-        if own:
-            raise SparseskinError(f"{where}.{next(iter(own))}: is stated beside skin")
+        if skin_keys:
+            raise SparseskinError(f"{where}.{next(iter(skin_keys))}: is stated beside skin")
         skin = load_skin(folder / stated.skin)
     else:
-        flat = {} if "points" in own else {"pitch_mm": PITCH_MM}
-        values = {"name": name, "f_max": PAPER_F_MAX_N, **flat, **own}
+        flat = {} if "points" in skin_keys else {"pitch_mm": PITCH_MM}
+        values = {"name": name, "f_max": PAPER_F_MAX_N, **flat, **skin_keys}
         skin = parse_skin(values, where, folder)
     if skin.unit != "N":
         raise SparseskinError(f"{where}.unit: '{skin.unit}'; allowed for a simulated body: N")
@@ -245,15 +245,16 @@ def expand(
         return {name: {"patches": [], "batches": all_names, "poses": poses, **table}}
     if not {"patch", "patches"} <= fields or "patches" in table or "patch" in table:
         return {name: dict(table)}
-    found = {}
+    tables = {}
     for k, batch in enumerate(batches, start=1):
-        first = batch.patches[0]
+        # All patches of a batch have these in common.
+        patch = batch.patches[0]
         values: dict[str, Any] = {"patch": batch.name, "patches": batch.names}
         if "simulated" in fields:
-            values["simulated"] = first.simulated
+            values["simulated"] = patch.simulated
         if "ratio" in fields:
-            values |= first.compressor
-        if first.host:
-            values["host"] = first.host
-        found[name if len(batches) == 1 else f"{name}_{k}"] = {**table, **values}
-    return found
+            values |= patch.compressor
+        if patch.host:
+            values["host"] = patch.host
+        tables[name if len(batches) == 1 else f"{name}_{k}"] = {**table, **values}
+    return tables

@@ -2,7 +2,7 @@
 
 import dataclasses
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from difflib import get_close_matches
 from pathlib import Path
@@ -19,7 +19,7 @@ from sparseskin.nodes.sensor.files.recording import spelled
 from sparseskin.nodes.settings import Settings, setting
 from sparseskin.nodes.toml import toml_or_text
 
-from .hosts import check_exposure, check_place, give_ports, read_hosts, read_security
+from .hosts import Host, check_exposure, check_place, give_ports, read_hosts, read_security
 from .processes import Composition, check_processes
 from .spec import LAUNCHER, LIVE_RECORDER, LaunchError, LaunchFile, NodeSpec
 from .tables import read_table, read_tables
@@ -58,7 +58,7 @@ GRAPH_TABLES = (GraphTable, RestartPolicy, Scheduling, Composition)
 class Checker:
     """Turns a TOML tree into a LaunchFile, or all its errors into a LaunchError."""
 
-    shown: str
+    title: str
     text: str
     tree: dict[str, Any]
     name: str
@@ -94,31 +94,12 @@ class Checker:
             if node_name != RECORDER or record is None:
                 self.places[node_name] = str(table.pop("host", ""))
                 check_place(node_name, self.places[node_name], hosts, self.fault)
-        nodes: dict[str, NodeSpec] = {}
-        for node_name, table in tables.items():
-            spec = self.node(node_name, table)
-            if spec is not None:
-                nodes[node_name] = spec
-        facts: dict[str, Any] = {}
-        for spec in nodes.values():
-            facts |= spec.cls.facts(spec.settings)
-        for spec in nodes.values():
-            try:
-                spec.cls.check_inputs(spec.settings, facts)
-            except SparseskinError as error:
-                self.node_fault(spec.name, spec.values, error)
+
+        nodes = self.nodes(tables)
         links: list[Link] = []
         if not self.errors:
-            try:
-                links = join({spec.name: (spec.cls, spec.settings) for spec in nodes.values()})
-            except SparseskinError as error:
-                self.errors.append(f"{self.shown}: {error}")
-            # All that publish, read or not: a recorder more on one host moves no port of another.
-            publish = {name: place for name, place in self.places.items() if nodes[name].outputs}
-            endpoints = give_ports(publish, hosts, self.fault)
-            for name, place in self.places.items():
-                public = endpoints.get(name, "")
-                nodes[name] = replace(nodes[name], host=place, public=public)
+            links = self.joined(nodes)
+            self.place(nodes, hosts)
             stated = [name for name, table in tables.items() if "process" in table]
             check_processes(nodes, stated, self.fault)
         if self.errors:
@@ -134,18 +115,53 @@ class Checker:
             security,
             graph.insecure,
             log_dir=graph.log_dir,
-            shown=self.shown,
+            title=self.title,
         )
+
+    def nodes(self, tables: dict[str, dict[str, Any]]) -> dict[str, NodeSpec]:
+        """The nodes whose tables have no fault, each checked against what the others state."""
+        nodes: dict[str, NodeSpec] = {}
+        for name, table in tables.items():
+            spec = self.node(name, table)
+            if spec is not None:
+                nodes[name] = spec
+
+        facts: dict[str, Any] = {}
+        for spec in nodes.values():
+            facts |= spec.cls.facts(spec.settings)
+        for spec in nodes.values():
+            try:
+                spec.cls.check_inputs(spec.settings, facts)
+            except SparseskinError as error:
+                self.node_fault(spec.name, spec.values, error)
+        return nodes
+
+    def joined(self, nodes: dict[str, NodeSpec]) -> list[Link]:
+        """The links of the graph; none, and a fault noted, where they cannot be made."""
+        try:
+            return join({spec.name: (spec.cls, spec.settings) for spec in nodes.values()})
+        except SparseskinError as error:
+            self.errors.append(f"{self.title}: {error}")
+            return []
+
+    def place(self, nodes: dict[str, NodeSpec], hosts: Mapping[str, Host]) -> None:
+        """Put nodes on their hosts, with the ports at which they publish there."""
+        # All that publish, read or not: a recorder more on one host moves no port of another.
+        publish = {name: place for name, place in self.places.items() if nodes[name].outputs}
+        endpoints = give_ports(publish, hosts, self.fault)
+        for name, place in self.places.items():
+            public = endpoints.get(name, "")
+            nodes[name] = replace(nodes[name], host=place, public=public)
 
     def node_tables(self) -> dict[str, dict[str, Any]]:
         if not self.tree.get("nodes"):
-            self.errors.append(f"{self.shown}: nodes: expected at least one table [nodes.NAME]")
+            self.errors.append(f"{self.title}: nodes: expected at least one table [nodes.NAME]")
             return {}
         tables = read_tables(self.tree, "nodes", MAX_NODES, self.fault)
         for name in [*tables]:
             if name == LAUNCHER or name.startswith(LIVE_RECORDER):
-                own = f"'{LAUNCHER}' and '{LIVE_RECORDER}...' are names of the launcher's own"
-                self.fault(("nodes", name), own)
+                problem = f"'{LAUNCHER}' and '{LIVE_RECORDER}...' are names of the launcher's own"
+                self.fault(("nodes", name), problem)
                 del tables[name]
         return tables
 
@@ -159,22 +175,24 @@ class Checker:
         batches = read_skin(self.tree[SKIN], folder, self.fault)
         if not batches:
             raise LaunchError(self.errors[:MAX_ERRORS])
-        found: dict[str, dict[str, Any]] = {}
+        node_tables: dict[str, dict[str, Any]] = {}
         for name, table in tables.items():
             try:
                 fields = _setting_names(node_class(table["type"]))
             except (SparseskinError, KeyError, TypeError):  # reported with the node
                 fields = set()
-            made = expand(name, table, fields, batches)
-            self.templates |= dict.fromkeys(made, name)
-            for again in made:
-                if again in found or (again != name and again in tables):
+            of_batches = expand(name, table, fields, batches)
+            self.templates |= dict.fromkeys(of_batches, name)
+            for again in of_batches:
+                if again in node_tables or (again != name and again in tables):
                     self.fault(("nodes", name), f"makes a node '{again}', of which there is one")
-            found |= made
-        if len(found) > MAX_NODES:
-            self.errors.append(f"{self.shown}: {len(found)} nodes; at most {MAX_NODES} are allowed")
+            node_tables |= of_batches
+        if len(node_tables) > MAX_NODES:
+            self.errors.append(
+                f"{self.title}: {len(node_tables)} nodes; at most {MAX_NODES} are allowed"
+            )
             raise LaunchError(self.errors[:MAX_ERRORS])
-        return found
+        return node_tables
 
     def override(self, text: str, tables: dict[str, dict[str, Any]]) -> None:
         match = re.fullmatch(r"([^.=]+)\.([^.=]+)(?:\.([^.=]+))?=(.*)", text, re.DOTALL)
@@ -190,8 +208,8 @@ class Checker:
                 return  # reported with the table
             tables = {GRAPH: graph}
         if node not in tables:
-            known = did_you_mean(node, [*tables, GRAPH])
-            self.errors.append(f"--set {text}: unknown node '{node}'{known}")
+            hint = did_you_mean(node, [*tables, GRAPH])
+            self.errors.append(f"--set {text}: unknown node '{node}'{hint}")
             return
         value = toml_or_text(raw)
         if part is not None:
@@ -219,7 +237,8 @@ class Checker:
         if {"launch", "source", "out"} <= _setting_names(cls):
             values = {"launch": self.launched, "source": self.name} | values
         deciding = [f.name for f in dataclasses.fields(cls.Settings) if f.metadata["range"].decides]
-        right, decided = dict(values), True
+        right = dict(values)
+        decided = True
         while True:
             try:
                 settings = cls.Settings.from_mapping(right)
@@ -261,36 +280,36 @@ class Checker:
         """Note an error that begins with the key of a node; return the key and, of a table, its
         part; "" where it names none.
         """
-        named, _, rest = str(error).partition(":")
-        key, _, part = named.partition(".")
-        what = rest.strip() if key in values else str(error)
+        begin, _, text = str(error).partition(":")
+        key, _, part = begin.partition(".")
+        problem = text.strip() if key in values else str(error)
         if key not in values:  # the line may begin with a value, as the name of a file
-            key = next((k for k, value in values.items() if value and value == named), "")
+            key = next((k for k, value in values.items() if value and value == begin), "")
             part = ""
         if part and part not in values[key]:
             part = ""
         place = tuple(filter(None, ("nodes", name, key, part)))
-        what = spelled(what, lambda key: f"--set {name}.{key}=")
-        self.fault(place, what + (_to_name(name, values) if TO_NAME in what else ""))
+        problem = spelled(problem, lambda key: f"--set {name}.{key}=")
+        self.fault(place, problem + (_to_name(name, values) if TO_NAME in problem else ""))
         return key, part
 
-    def fault(self, place: tuple[str, ...], what: str) -> None:
+    def fault(self, place: tuple[str, ...], problem: str) -> None:
         """Note an error at a place, with the line of the file or the --set it comes from."""
         if place[0] == "nodes" and len(place) > 1:
             place = ("nodes", self.templates.get(place[1], place[1]), *place[2:])
         stated = place if place[0] in (SKIN, GRAPH) else place[1:]
         if stated in self.overridden:
-            self.errors.append(f"{self.overridden[stated]}: {what}")
+            self.errors.append(f"{self.overridden[stated]}: {problem}")
             return
         line = _line_of(self.text, place)
-        where = f"{self.shown}:{line}" if line else self.shown
-        self.errors.append(f"{where}: {'.'.join(place)[:MAX_ERROR]}: {one_line_of(what)}")
+        where = f"{self.title}:{line}" if line else self.title
+        self.errors.append(f"{where}: {'.'.join(place)[:MAX_ERROR]}: {one_line_of(problem)}")
         if len(self.errors) >= MAX_ERRORS:
-            raise LaunchError([*self.errors, f"{self.shown}: perhaps more; these come first"])
+            raise LaunchError([*self.errors, f"{self.title}: perhaps more; these come first"])
 
 
 def _setting_names(cls: type[Node[Any]]) -> set[str]:
-    return {one.name for one in dataclasses.fields(cls.Settings)}
+    return {setting.name for setting in dataclasses.fields(cls.Settings)}
 
 
 def _to_name(node: str, values: dict[str, Any]) -> str:
@@ -305,7 +324,7 @@ def _line_of(text: str, place: tuple[str, ...]) -> int:
     """Number of the line of a key, or of the header of its table, or the first in it; 0: none."""
     header = re.compile(r"\s*\[\s*([^\]]+?)\s*\]")
     table: tuple[str, ...] = ()
-    found = 0
+    nearest = 0
     for number, line in enumerate(text.splitlines(), start=1):
         match = header.match(line)
         if match:
@@ -313,12 +332,12 @@ def _line_of(text: str, place: tuple[str, ...]) -> int:
             if table == place:
                 return number
             if table == place[:-1] or table[: len(place)] == place:
-                found = found or number
+                nearest = nearest or number
         else:
             key = line.partition("=")[0].strip(" \"'\t")
             if key and "=" in line and (*table, *key.split(".")) == place:
                 return number
-    return found
+    return nearest
 
 
 def one_line_of(what: object) -> str:

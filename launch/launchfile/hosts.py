@@ -76,18 +76,19 @@ def read_security(
     """The table [security], its folder of keys relative to that of the launch file; or None."""
     if "security" not in tree:
         return None
-    place, table = ("security",), tree["security"]
-    (found,), _ = read_table(table, place, fault, Security())
+    place = ("security",)
+    table = tree["security"]
+    (security,), _ = read_table(table, place, fault, Security())
     if isinstance(table, dict) and "keys" not in table:
         fault((*place, "keys"), "expected the folder of the key files, a text")
-    if hosts and found.key:
+    if hosts and security.key:
         fault((*place, "key"), "with several hosts each has its own: hosts.NAME.key")
-    elif not hosts and bad_name(found.key):
+    elif not hosts and bad_name(security.key):
         fault((*place, "key"), "expected the name of this graph's key, a text")
-    allow = found.allow or tuple(host.key for host in hosts.values() if host.key)
-    allow = allow or tuple(filter(None, (found.key,)))
-    security: Security = replace(found, keys=str(folder / found.keys), allow=allow)
-    return security
+    allow = security.allow or tuple(host.key for host in hosts.values() if host.key)
+    allow = allow or tuple(filter(None, (security.key,)))
+    with_folder: Security = replace(security, keys=str(folder / security.keys), allow=allow)
+    return with_folder
 
 
 def check_exposure(
@@ -126,9 +127,9 @@ def give_ports(
         endpoint = f"tcp://{hosts[host].address}:{port}"
         if port not in PORTS:
             fault(("nodes", node), f"port {port} is outside {PORTS.start}..{PORTS.stop - 1}")
-        for other, taken in endpoints.items():
+        for other_node, taken in endpoints.items():
             if endpoint == taken:
-                fault(("nodes", node), f"publishes at {endpoint}, where {other} does too")
+                fault(("nodes", node), f"publishes at {endpoint}, where {other_node} does too")
         endpoints[node] = endpoint
     return endpoints
 
@@ -139,10 +140,10 @@ class Credentials:
     that may read here, and of all that are known; public key of each other host by its name.
     """
 
-    own: KeyPair
+    key_pair: KeyPair
     file: str
     allowed: Mapping[str, str]
-    known: Mapping[str, str]
+    names: Mapping[str, str]
     servers: Mapping[str, str]
 
 
@@ -156,10 +157,9 @@ def read_credentials(security: Security, key: str, hosts: Mapping[str, Host]) ->
         return read_public_key(folder / f"{name}{PUBLIC_SUFFIX}")
 
     file = folder / f"{key}{SECRET_SUFFIX}"
-    own = read_key_pair(file)
+    key_pair = read_key_pair(file)
     allowed = {public(name): name for name in security.allow}
     servers = {name: public(host.key) for name, host in hosts.items() if host.key != key}
     # The nodes of this host read from each other with its own key.
-    return Credentials(
-        own, str(file.resolve()), {**allowed, own.public: key}, known_names(folder), servers
-    )
+    allowed[key_pair.public] = key
+    return Credentials(key_pair, str(file.resolve()), allowed, known_names(folder), servers)

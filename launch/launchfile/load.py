@@ -41,8 +41,8 @@ def find_launch_file(name: str) -> Path:
     path = Path(name)
     if path.suffix == ".toml" or len(path.parts) > 1:
         if not path.is_file():
-            what = "is no regular file" if path.exists() else "no such launch file"
-            raise LaunchError([f"{name}: {what}"])
+            problem = "is no regular file" if path.exists() else "no such launch file"
+            raise LaunchError([f"{name}: {problem}"])
         return path
     if name not in bundled_names():
         hint = did_you_mean(name, bundled_names())
@@ -72,17 +72,17 @@ def load(name: str, overrides: Sequence[str] = (), record: str | None = None) ->
     if isinstance(overrides, str):
         raise LaunchError([f'settings: expected a list, as ["{overrides}"], not a text'])
     path = find_launch_file(name)
-    shown = path.name if path.parent == BUNDLED else str(path)
+    title = path.name if path.parent == BUNDLED else str(path)
     try:
         with path.open(encoding="utf-8") as file:
             text = file.read(MAX_CHARS + 1)
         tree = parse_toml(text)
     except (OSError, ValueError) as error:
-        raise LaunchError([_unreadable(shown, error)]) from error
+        raise LaunchError([_unreadable(title, error)]) from error
     folder = "" if path.parent == BUNDLED else str(path.resolve().parent)
     if folder:
         search_in(folder)
-    launch = Checker(shown, text, tree, path.stem, path.parent).check(overrides, record)
+    launch = Checker(title, text, tree, path.stem, path.parent).check(overrides, record)
     return replace(launch, folder=folder)
 
 

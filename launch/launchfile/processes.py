@@ -51,15 +51,17 @@ def check_processes(specs: Mapping[str, NodeSpec], stated: Collection[str], faul
             continue
         leader = leaders.setdefault(spec.process, spec)
         if spec.host != leader.host:
-            what = f"{spec.process!r} is on {leader.host} ({leader.name}), this node on {spec.host}"
-            fault(("nodes", spec.name, "process"), what)
+            problem = (
+                f"{spec.process!r} is on {leader.host} ({leader.name}), this node on {spec.host}"
+            )
+            fault(("nodes", spec.name, "process"), problem)
 
     for leader, *followers in by_process(specs.values()):
         # That of [graph] may be of a host with a single node.
         if leaders.get(leader.process) is leader and not followers:
-            what = f"{leader.process!r} has this node alone"
+            problem = f"{leader.process!r} has this node alone"
             allowed = "(allowed: a process that other nodes state too)"
-            fault(("nodes", leader.name, "process"), f"{what} {allowed}")
+            fault(("nodes", leader.name, "process"), f"{problem} {allowed}")
         for spec in followers:
             _check_same(leader, spec, fault)
 
@@ -70,8 +72,11 @@ def _check_same(leader: NodeSpec, spec: NodeSpec, fault: Fault) -> None:
     for key, value in _settings_of_process(spec).items():
         if value == of_process[key]:
             continue
-        what = f"{value!r} here, {of_process[key]!r} of {leader.name}"
-        fault(("nodes", spec.name, key), f"{what} in process {spec.process!r} (allowed: the same)")
+        difference = f"{value!r} here, {of_process[key]!r} of {leader.name}"
+        fault(
+            ("nodes", spec.name, key),
+            f"{difference} in process {spec.process!r} (allowed: the same)",
+        )
 
 
 def _settings_of_process(spec: NodeSpec) -> dict[str, Any]:

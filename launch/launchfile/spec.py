@@ -53,8 +53,8 @@ class NodeSpec:
 
     def with_live(self, values: dict[str, Any]) -> Self:
         """The same node with what was changed while it ran."""
-        before = self.settings.live_values()
-        changed = {key: v for key, v in values.items() if v != before[key]}
+        live = self.settings.live_values()
+        changed = {key: v for key, v in values.items() if v != live[key]}
         return replace(
             self,
             values={key: v for key, v in (self.values | changed).items() if v is not None},
@@ -91,7 +91,7 @@ class LaunchFile:
     credentials: Credentials | None = None
     log_dir: str = ""
     folder: str = ""
-    shown: str = ""
+    title: str = ""
 
     def part(self, host: str | None) -> Self:
         """The part of a graph that runs on one host, with the keys that it needs there; `host` is
@@ -107,14 +107,10 @@ class LaunchFile:
         if host is not None and host not in self.hosts:
             hint = did_you_mean(host, self.hosts)
             raise LaunchError([f"--host {host}: {self.name} has no such host{hint}"])
-        here = host or ""
-        key = self.hosts[here].key if here else self.security.key if self.security else ""
-        try:
-            found = read_credentials(self.security, key, self.hosts) if self.security else None
-        except KeyFileError as error:
-            raise LaunchError([str(error)]) from error
+        host_name = host or ""
+        credentials = self._credentials(host_name)
         # A recorder that was asked for on the command line is of this host, too.
-        nodes = {n: spec for n, spec in self.nodes.items() if spec.host in ("", here)}
+        nodes = {n: spec for n, spec in self.nodes.items() if spec.host in ("", host_name)}
         links = [link for link in self.links if link.reader in nodes or link.writer in nodes]
         elsewhere = {n: spec for n, spec in self.nodes.items() if n not in nodes}
         refused: dict[str, list[str]] = {}
@@ -124,7 +120,24 @@ class LaunchFile:
             except SettingsError as error:
                 refused.setdefault(str(error), []).append(spec.name)
         if refused:
-            raise LaunchError([f"{self.shown}: {', '.join(n)}: {e}" for e, n in refused.items()])
+            raise LaunchError([f"{self.title}: {', '.join(n)}: {e}" for e, n in refused.items()])
         return replace(
-            self, nodes=nodes, links=links, elsewhere=elsewhere, host=here, credentials=found
+            self,
+            nodes=nodes,
+            links=links,
+            elsewhere=elsewhere,
+            host=host_name,
+            credentials=credentials,
         )
+
+    def _credentials(self, host_name: str) -> Credentials | None:
+        """The keys of one host ("": the graph has but one), read from their files; or None."""
+        if self.security is None:
+            return None
+        key = self.security.key
+        if host_name:
+            key = self.hosts[host_name].key
+        try:
+            return read_credentials(self.security, key, self.hosts)
+        except KeyFileError as error:
+            raise LaunchError([str(error)]) from error

@@ -20,22 +20,26 @@ def read_table(
     """The settings `defaults` with the values that a table states; with `more`, the values of other
     keys too, which are refused otherwise.
     """
-    found, others = list(defaults), dict[str, Any]()
-    known = {field.name: k for k, one in enumerate(found) for field in fields(one)}
+    settings = list(defaults)
+    index_of_key = {
+        field.name: index for index, default in enumerate(defaults) for field in fields(default)
+    }
+    of_other_keys: dict[str, Any] = {}
     if not isinstance(table, dict):
         fault(place, f"expected a table [{'.'.join(place)}]")
-        return found, others
+        return settings, of_other_keys
     for key, value in table.items():
-        if key not in known:
-            others[key] = value
+        if key not in index_of_key:
+            of_other_keys[key] = value
             if not more:
-                fault((*place, key), f"unknown key{did_you_mean(key, known)}")
+                fault((*place, key), f"unknown key{did_you_mean(key, index_of_key)}")
             continue
+        index = index_of_key[key]
         try:
-            found[known[key]] = replace(found[known[key]], **{key: value})
+            settings[index] = replace(settings[index], **{key: value})
         except SettingsError as error:
             fault((*place, key), str(error).removeprefix(f"{key}: "))
-    return found, others
+    return settings, of_other_keys
 
 
 def read_tables(

@@ -134,14 +134,16 @@ def make_graph(job: Job, bag: BagReader, out: Path) -> LaunchFile:
     contradicts the settings.
     """
     topics = [split_topic(topic) for topic in bag.topics]
-    together, patches = names_of(bag), sorted({patch for patch, _ in topics})
+    together = names_of(bag)
+    patches = sorted({patch for patch, _ in topics})
     n_patches = sum(len(together.get(patch, (patch,))) for patch in patches)
     if together or n_patches != 1:
         batches = " in batches" if together else ""
         raise SparseskinError(
             f"holds {n_patches} patches{batches}; reprocess takes recordings of one"
         )
-    present, patch = {schema for _, schema in topics}, patches[0]
+    present = {schema for _, schema in topics}
+    patch = patches[0]
     measured = job.start_from == "measurements" or (
         job.start_from == "auto"
         and Measurements.schema in present

@@ -63,14 +63,14 @@ class Requests:
     def take(self, request: Mapping[str, Any], reply: Reply) -> None:
         """Pass on one request {id, node, command, value}; the reply is called once."""
         stated = [request.get(key) for key in ("id", "node", "command")]
-        number, node, command = (str(one) for one in stated)
+        number, node, command = map(str, stated)
         value = request.get("value")
 
         def say(done: bool, text: str) -> None:
             reply({"id": number[:64], "node": node[:64], "done": done, "text": text})
 
         try:
-            if not all(isinstance(one, str) for one in stated):
+            if not all(isinstance(entry, str) for entry in stated):
                 raise RefusedError("expected the texts id, node and command")
             if not is_shallow(value):
                 raise RefusedError(f"value: nested more than {MAX_DEPTH} deep")
@@ -110,9 +110,9 @@ class Requests:
             hint = did_you_mean(name, [*self._nodes, LAUNCHER])
             raise RefusedError(f"{name[:64]}: no such node{hint}")
         node = self._nodes[name]
-        known = ("set", *node.spec.cls.commands)
-        if command not in known:
-            hint = did_you_mean(command, known)
+        commands = ("set", *node.spec.cls.commands)
+        if command not in commands:
+            hint = did_you_mean(command, commands)
             raise RefusedError(f"{name}: has no command '{command[:64]}'{hint}")
         if command == "set" and not (isinstance(value, dict) and value):
             raise RefusedError(f"{name}: set: expected settings and their values")
@@ -169,7 +169,7 @@ class ControlServer:
         """Send one object, which a newer one will replace, to all clients that watch and have read
         what was sent before.
         """
-        for client in [one for one in self._clients if one.watches and one.idle]:
+        for client in [watcher for watcher in self._clients if watcher.watches and watcher.idle]:
             self._send(client, fields)
 
     def close(self) -> None:

@@ -78,7 +78,7 @@ class Fleet:
             pair = read_key_pair(Path(joined.key_file))
             keys = Credentials(pair, joined.key_file, {}, {}, {})
         self._keys = keys
-        self._public = keys.own.public if keys else ""
+        self._public = keys.key_pair.public if keys else ""
         servers = keys.servers if keys else {}
         self._peers = {
             name: Peer(name, spec.public, spec.host, servers.get(spec.host, self._public))
@@ -183,7 +183,9 @@ class Fleet:
 
     def _config(self, spec: NodeSpec, late: bool) -> dict[str, Any]:
         """Configuration of a node, as of `Runner`."""
-        launch, keys, links = self._launch, self._keys, self._links
+        launch = self._launch
+        keys = self._keys
+        links = self._links
         elsewhere = launch.elsewhere
         number = list(self.restarts).index(spec.name)
         pid = self._joined.pid if self._joined else os.getpid()
@@ -221,7 +223,9 @@ class Fleet:
 
     def _companions(self, node: NodeProcess) -> list[NodeProcess]:
         """The nodes of the process of a node, itself included, whose streams have not ended."""
-        return [other for other in self if other.process is node.process and not other.ended]
+        return [
+            sharing for sharing in self if sharing.process is node.process and not sharing.ended
+        ]
 
     def _start_again(self, dead: NodeProcess) -> None:
         """Start the nodes of a process that died, at their endpoints, and paused as they were."""
@@ -316,12 +320,17 @@ class Fleet:
                     self._to_pause.discard(node.name)
                     node.command("pause", value=True)
             case "heartbeat":
-                node.lacks, node.line, node.counted = event["lacks"], event["line"], event["counts"]
-                node.state, node.refusal = event["state"], event["refusal"]
-                node.heard, node.clocks = event["heard"], event["clocks"]
+                node.lacks = event["lacks"]
+                node.line = event["line"]
+                node.counted = event["counts"]
+                node.state = event["state"]
+                node.refusal = event["refusal"]
+                node.heard = event["heard"]
+                node.clocks = event["clocks"]
             case "ended":
                 node.ended = True
-                node.counted, node.report = event["counts"], event["report"]
+                node.counted = event["counts"]
+                node.report = event["report"]
                 node.clocks = event["clocks"]
             case "failed":  # the node has logged the reason
                 self._fail(node, EXIT_USAGE)
@@ -331,7 +340,8 @@ class Fleet:
             case "raised":  # the node has logged the error, and goes on
                 self.late_code = self.late_code or EXIT_FAILED
             case "answer":
-                node.settings, node.state = event["settings"], event["state"]
+                node.settings = event["settings"]
+                node.state = event["state"]
             case _:
                 self._log(f"[{node.name}] {event}")
         self.hear(node, event)
@@ -344,14 +354,15 @@ class Fleet:
         if failed not in nodes or self.restarts[failed.name].due_s is not None:
             return  # it has ended, or another node of its process has reported it
         for node in nodes:
-            if left := node.spec.cls.left_behind(node.spec.settings):
-                self.left.setdefault(node.name, []).append(left)
+            unfinished = node.spec.cls.left_behind(node.spec.settings)
+            if unfinished:
+                self.left.setdefault(node.name, []).append(unfinished)
         names = _names(nodes)
         why = text.removeprefix(f"[{failed.name}] ").removeprefix(f"{names} ")
         line = f"[launch] {text}"
         if text.startswith("["):
-            others = [node for node in nodes if node is not failed]
-            line = text + (f" (of the same process: {_names(others)})" if others else "")
+            companions = [node for node in nodes if node is not failed]
+            line = text + (f" (of the same process: {_names(companions)})" if companions else "")
         if self.supervised and code != EXIT_USAGE:
             # The nodes of a process have one policy, and fail together.
             for node in nodes:

@@ -126,18 +126,19 @@ class Launcher:
         if self._launch.host:
             merged["host"] = self._launch.host
             merged["hosts"] = hosts_state(self._launch, self._fleet)
-        restarts = {name: found.total for name, found in self._fleet.restarts.items()}
+        restarts = {name: report.total for name, report in self._fleet.restarts.items()}
         counts = [node.counts for node in self._fleet]
         for node in self._fleet:
-            found = dict(node.report)
-            if left := self._fleet.left.get(node.name):
-                found["lines"] = [*found.get("lines", ()), *left]
+            report = dict(node.report)
+            unfinished = self._fleet.left.get(node.name)
+            if unfinished:
+                report["lines"] = [*report.get("lines", ()), *unfinished]
             if any(restarts.values()):
                 again = restarts[node.name] > 0
-                found |= node.spec.cls.totals(node.spec.settings, found, counts, again)
-            merged["patches"].update(found.pop("patches", {}))
+                report |= node.spec.cls.totals(node.spec.settings, report, counts, again)
+            merged["patches"].update(report.pop("patches", {}))
             merged["nodes"][node.name] = {
-                **found,
+                **report,
                 "type": node.spec.type_name,
                 "restarts": restarts[node.name],
                 "failures": list(self._fleet.restarts[node.name].failures),

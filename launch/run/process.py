@@ -27,8 +27,10 @@ CHUNK_BYTES = 65536
 """Most that is read of a pipe at once, which is all that a pipe holds."""
 MAX_LINE_BYTES = 8192
 """Length at which a line without an end is broken."""
-LOG_BYTES, LINE_BYTES = 100_000, 100
-"""What a node may log in a second; a line counts as its length and `LINE_BYTES`."""
+LOG_BYTES = 100_000
+"""What a node may log in a second."""
+LINE_BYTES = 100
+"""What a line counts as beside its length."""
 
 
 class LogLines:
@@ -41,13 +43,15 @@ class LogLines:
 
     def take(self, chunk: bytes, now_s: float, at_end: bool = False) -> list[str]:
         """The lines that a chunk completes; at the end of the pipe, also one without an end."""
-        found = []
+        complete = []
         if at_end or now_s - self._since_s >= 1.0:
             if self._n_cut:
-                found.append(
+                complete.append(
                     f"{self._n_cut} lines were cut (more than {LOG_BYTES // 1000} kB a second)"
                 )
-            self._since_s, self._left, self._n_cut = now_s, LOG_BYTES, 0
+            self._since_s = now_s
+            self._left = LOG_BYTES
+            self._n_cut = 0
         *lines, self._rest = (self._rest + chunk).split(b"\n")
         if at_end or len(self._rest) > MAX_LINE_BYTES:
             lines.append(self._rest)
@@ -55,10 +59,10 @@ class LogLines:
         for line in filter(None, lines):
             if self._left > 0:
                 self._left -= len(line) + LINE_BYTES
-                found.append(line.decode(errors="replace"))
+                complete.append(line.decode(errors="replace"))
             else:
                 self._n_cut += 1
-        return found
+        return complete
 
 
 class NodePipes:
@@ -155,7 +159,8 @@ class NodeProcess:
         self.counted: dict[str, Any] = {}
         self.earlier: dict[str, Any] = {}
         self.report: dict[str, Any] = {}
-        self._said, self._said_s = "", 0.0
+        self._said = ""
+        self._said_s = 0.0
         self._lines = LogLines()
         self._channel = Connection(pipes.channel)
         self._log = pipes.log
@@ -224,7 +229,8 @@ class NodeProcess:
             self.closed_pipes.add(self._log)
         log = self._lines.take(chunk or b"", awake_s(), at_end=self._log in self.closed_pipes)
         if log:
-            self._said, self._said_s = log[-1], awake_s()
+            self._said = log[-1]
+            self._said_s = awake_s()
         if events:
             self.heard_s = awake_s()
         return [_event(line.decode(errors="replace")) for line in events or () if line], log
@@ -251,8 +257,8 @@ def _added(first: Any, second: Any) -> Any:
     """Sums of counters that have the same keys."""
     if not isinstance(first, dict):
         return first + second
-    both = {key: _added(first[key], second[key]) for key in first.keys() & second.keys()}
-    return {**first, **second, **both}
+    shared = {key: _added(first[key], second[key]) for key in first.keys() & second.keys()}
+    return {**first, **second, **shared}
 
 
 def exit_text(code: int) -> str:

@@ -52,7 +52,8 @@ class Restarts:
         """Count a failure, and set the time of the restart; where there is none, return the reason,
         "" of a node that is never restarted.
         """
-        policy, times_s = self._policy, self._times_s
+        policy = self._policy
+        times_s = self._times_s
         if not policy.restarts:
             return ""
         while times_s and times_s[0] <= now_s - policy.restart_window_s:

@@ -59,8 +59,8 @@ class RunLog:
 
     def write(self, line: str, now_s: float) -> None:
         """Write one line "[NAME] TEXT" into the file of that node, with date and time."""
-        found = _NAMED.fullmatch(line)
-        name, text = found.groups() if found else (LAUNCHER, line)
+        prefix = _NAMED.fullmatch(line)
+        name, text = prefix.groups() if prefix else (LAUNCHER, line)
         date = time.strftime("%Y-%m-%d", time.localtime(now_s))
         text = f"{date} {time_text(now_s)} {text}"
         try:

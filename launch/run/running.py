@@ -144,12 +144,13 @@ def running_graphs(starting: bool = False) -> list[RunningGraph]:
     """All graphs that run and can be joined, and with `starting` those that are starting; what
     graphs that are gone have left is removed.
     """
-    folder, found = runtime_folder(), []
+    folder = runtime_folder()
+    graphs = []
     for path in sorted(folder.glob("*.json")):
         with contextlib.suppress(*_NO_NOTE):
             graph = _read_note(path)
             if is_running(graph):
-                found.append(graph)
+                graphs.append(graph)
             elif remove_files(graph.pid):
                 path.unlink()
     # A node that was still starting as its launcher was killed makes files after the note is gone.
@@ -158,7 +159,7 @@ def running_graphs(starting: bool = False) -> list[RunningGraph]:
         for number in {path.name.partition(".")[0] for path in folder.iterdir()} - noted:
             if number.isdecimal() and not os.path.exists(f"/proc/{number}"):
                 remove_files(int(number))
-    return [graph for graph in found if starting or not graph.starting]
+    return [graph for graph in graphs if starting or not graph.starting]
 
 
 def is_running(graph: RunningGraph) -> bool:
@@ -173,12 +174,13 @@ def remove_files(pid: int) -> bool:
     """Remove the sockets, the pages and the part of a note that a process has left; False if
     somebody listens to one of the sockets.
     """
-    made = re.compile(rf"{pid}(\.\d+)?\.sock|{pid}(\.\d+\.html|{PART})")
+    of_launcher = re.compile(rf"{pid}(\.\d+)?\.sock|{pid}(\.\d+\.html|{PART})")
     served = False
     for path in runtime_folder().glob(f"{pid}.*"):
         with contextlib.suppress(FileNotFoundError):  # its process ends
-            is_socket, mode = path.suffix == ".sock", path.lstat().st_mode
-            if made.fullmatch(path.name) and (stat.S_ISSOCK if is_socket else stat.S_ISREG)(mode):
+            is_socket = path.suffix == ".sock"
+            is_kind = stat.S_ISSOCK if is_socket else stat.S_ISREG
+            if of_launcher.fullmatch(path.name) and is_kind(path.lstat().st_mode):
                 if is_socket and is_served(path):
                     served = True
                 else:
@@ -206,11 +208,12 @@ def choose_graph(name: str | None, option: str = "--graph") -> RunningGraph:
     given_up_s = None
     while True:
         graphs = running_graphs(starting=True)
-        named = [g for g in graphs if name in (None, g.name, g.label, str(g.pid))]
-        matching = [graph for graph in named if not graph.starting]
-        if matching or not named:
+        candidates = [g for g in graphs if name in (None, g.name, g.label, str(g.pid))]
+        matching = [graph for graph in candidates if not graph.starting]
+        if matching or not candidates:
             break
-        label, now_s = named[0].label, time.monotonic()
+        label = candidates[0].label
+        now_s = time.monotonic()
         if given_up_s is None:
             given_up_s = now_s + PATIENCE_S
             print(f"{label}: is starting; waiting until it runs", file=sys.stderr, flush=True)

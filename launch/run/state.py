@@ -60,7 +60,9 @@ def _nodes(fleet: Fleet, more: Callable[[NodeProcess], dict[str, Any]]) -> list[
 
 
 def _in_short(node: NodeProcess) -> dict[str, Any]:
-    cls, settings, counts = node.spec.cls, node.spec.settings, node.counts
+    cls = node.spec.cls
+    settings = node.spec.settings
+    counts = node.counts
     return {
         "patch": getattr(settings, "patch", None),
         "patches": list(getattr(settings, "patches", ())),
@@ -86,7 +88,8 @@ def _in_full(node: NodeProcess, with_settings: bool) -> dict[str, Any]:
         "transport": node.endpoint.partition(":")[0],
         "refused": counts.get("refused", {}),
         "inputs": [
-            counted(topic, **{what: what for what in COUNTED}) for topic in node.config["inputs"]
+            counted(topic, **{counter: counter for counter in COUNTED})
+            for topic in node.config["inputs"]
         ],
         "outputs": [counted(topic, sent="published") for topic in node.outputs],
     }
@@ -106,7 +109,7 @@ def hosts_state(launch: LaunchFile, nodes: Iterable[NodeProcess]) -> dict[str, d
     do not), clock_offset_ms and clock_uncertainty_ms (None while unknown; the clock there is ahead
     by the offset, within the uncertainty).
     """
-    found: dict[str, dict[str, Any]] = {
+    states: dict[str, dict[str, Any]] = {
         name: {"heard": None, "silent": [], "clock_offset_ms": None, "clock_uncertainty_ms": None}
         for name in launch.hosts
         if name != launch.host
@@ -115,13 +118,13 @@ def hosts_state(launch: LaunchFile, nodes: Iterable[NodeProcess]) -> dict[str, d
         return {}
     for node in nodes:
         for writer, heard in node.heard.items():
-            state = found[launch.elsewhere[writer].host]
+            state = states[launch.elsewhere[writer].host]
             if not heard and writer not in state["silent"]:
                 state["silent"].append(writer)
             state["heard"] = not state["silent"]
         for host, (offset_ns, uncertainty_ns) in node.clocks.items():
-            known = found[host]["clock_uncertainty_ms"]
-            if known is None or uncertainty_ns / 1e6 < known:
-                found[host]["clock_offset_ms"] = offset_ns / 1e6
-                found[host]["clock_uncertainty_ms"] = uncertainty_ns / 1e6
-    return found
+            uncertainty_ms = states[host]["clock_uncertainty_ms"]
+            if uncertainty_ms is None or uncertainty_ns / 1e6 < uncertainty_ms:
+                states[host]["clock_offset_ms"] = offset_ns / 1e6
+                states[host]["clock_uncertainty_ms"] = uncertainty_ns / 1e6
+    return states

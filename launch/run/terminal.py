@@ -74,14 +74,14 @@ class Terminal:
             yield
             return
         fd = sys.stdin.fileno()
-        before = termios.tcgetattr(fd)
+        terminal_mode = termios.tcgetattr(fd)
         tty.setcbreak(fd)
         self._keys_fd = fd
         try:
             yield
         finally:
             self._keys_fd = None
-            termios.tcsetattr(fd, termios.TCSADRAIN, before)
+            termios.tcsetattr(fd, termios.TCSADRAIN, terminal_mode)
 
     def pressed(self) -> list[str]:
         """Keys that were pressed since the last call: characters, or "right", "up", "down"."""

@@ -21,7 +21,8 @@ def waits_for(node: NodeProcess, launch: LaunchFile) -> str:
     if node.ended or node.failed:
         return ""
     if node.ready:
-        settings, published = node.spec.settings, node.counts.get("published", {})
+        settings = node.spec.settings
+        published = node.counts.get("published", {})
         is_player = hasattr(settings, "lockstep")
         n_readers = (settings.wait or int(settings.lockstep)) if is_player else 0
         begun = any(n for topic, n in published.items() if not is_latched(topic))
@@ -68,15 +69,19 @@ class LateLog:
         log: Callable[[str], None],
         now_s: Callable[[], float] = awake_s,
     ) -> None:
-        self._lines, self._log, self._now_s = lines, log, now_s
+        self._lines = lines
+        self._log = log
+        self._now_s = now_s
         self._last: list[str] = []
         self._due_s = 0.0
 
     def look(self) -> None:
         """Log the lines where they are due."""
-        lines, now_s = self._lines(), self._now_s()
+        lines = self._lines()
+        now_s = self._now_s()
         if lines != self._last:
-            self._last, self._due_s = lines, now_s + AFTER_S
+            self._last = lines
+            self._due_s = now_s + AFTER_S
         elif lines and now_s >= self._due_s:
             self._due_s = now_s + AGAIN_S
             for line in lines:

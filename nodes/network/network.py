@@ -84,7 +84,7 @@ class Network:
         security = config.get("security") or {}
         self._keys: KeyPair | None = None
         if security:
-            self._keys = KeyPair(**security["own"])
+            self._keys = KeyPair(**security["key_pair"])
         public = config.get("public", "")
         endpoint = config["endpoint"]
         self._first = first or self
@@ -94,7 +94,7 @@ class Network:
             from .gate import Gate
 
             allowed = security.get("allowed", {})
-            names = security.get("known", {})
+            names = security.get("names", {})
             self._gate = Gate(context, self._keys, allowed, names, log)
             self._first._gate = self._gate
 

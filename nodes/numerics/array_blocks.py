@@ -58,8 +58,8 @@ class StoredArray:
         self, stream: IO[bytes], sides: tuple[int, ...], at: int, size: int
     ) -> Iterator[npt.NDArray[Any]]:
         """Parts along an axis with no entries of others between its own."""
-        for first in range(0, sides[at], size):
-            n = min(size, sides[at] - first)
+        for begin in range(0, sides[at], size):
+            n = min(size, sides[at] - begin)
             yield self._read(stream, (*sides[:at], n, *sides[at + 1 :]))
 
     def _scattered(
@@ -70,20 +70,20 @@ class StoredArray:
         n_inner = math.prod(sides[at + 1 :])
         entry_bytes = n_inner * self.dtype.itemsize
         # Longer runs cost fewer reads, and more memory.
-        wanted = max(size, MIN_RUN_BYTES // max(1, entry_bytes))
+        n_for_long_runs = max(size, MIN_RUN_BYTES // max(1, entry_bytes))
         bound = max(size, MAX_GATHER_BYTES // max(1, n_outer * entry_bytes))
-        n_gathered = min(wanted, bound) // size * size
+        n_gathered = min(n_for_long_runs, bound) // size * size
         with tempfile.TemporaryFile() as copy:
             if not self.can_seek:
                 shutil.copyfileobj(stream, copy, _COPY_BYTES)
                 copy.seek(0)
                 stream = copy
             begin = stream.tell()
-            for first in range(0, sides[at], n_gathered):
-                n = min(n_gathered, sides[at] - first)
+            for row in range(0, sides[at], n_gathered):
+                n = min(n_gathered, sides[at] - row)
                 rows = np.empty((n_outer, n, n_inner), self.dtype)
                 for outer in range(n_outer):
-                    stream.seek(begin + (outer * sides[at] + first) * entry_bytes)
+                    stream.seek(begin + (outer * sides[at] + row) * entry_bytes)
                     rows[outer] = self._read(stream, (n, n_inner))
                 whole = rows.reshape(*sides[:at], n, *sides[at + 1 :])
                 for start in range(0, n, size):
@@ -98,11 +98,11 @@ class StoredArray:
 
     def _read(self, stream: Any, shape: tuple[int, ...]) -> npt.NDArray[Any]:
         array = np.empty(shape, self.dtype)
-        wanted = memoryview(array.reshape(-1).view(np.uint8).data)
+        buffer = memoryview(array.reshape(-1).view(np.uint8).data)
         at = 0
-        while at < len(wanted):
+        while at < len(buffer):
             # A part at a time: some streams copy what they read.
-            n_bytes = stream.readinto(wanted[at : at + _COPY_BYTES])
+            n_bytes = stream.readinto(buffer[at : at + _COPY_BYTES])
             if not n_bytes:
                 raise ArrayFileError("ends before the last of its numbers")
             at += n_bytes

@@ -35,9 +35,9 @@ def read_npy(raw: bytes) -> npt.NDArray[np.generic]:
     """The array of an .npy, a view of its bytes. Raises ArrayFileError if it is none of numbers."""
     head = io.BytesIO(raw[:MAX_HEAD_BYTES])
     shape, in_columns, dtype = _header(head)
-    held = len(raw) - head.tell()
-    _check_size(shape, dtype, held)
-    flat = np.frombuffer(raw, dtype, offset=head.tell()) if held else np.empty(0, dtype)
+    n_bytes = len(raw) - head.tell()
+    _check_size(shape, dtype, n_bytes)
+    flat = np.frombuffer(raw, dtype, offset=head.tell()) if n_bytes else np.empty(0, dtype)
     try:
         return flat.reshape(shape, order="F" if in_columns else "C")
     except ValueError as error:  # no number, in sides that no index counts
@@ -79,10 +79,10 @@ def read_npz(
         names = wanted(list(members))
         n_bytes = file.seek(0, io.SEEK_END)
         size = sum(members[name].file_size for name in names)
-        most = most_bytes or max(MAX_GROWN_BYTES, MAX_GROWTH * n_bytes)
-        if size > most:
+        limit = most_bytes or max(MAX_GROWN_BYTES, MAX_GROWTH * n_bytes)
+        if size > limit:
             fault = f"its arrays would have {size} bytes, of a file of {n_bytes}"
-            raise ArrayFileError(f"{fault}; at most {most}")
+            raise ArrayFileError(f"{fault}; at most {limit}")
         return {name: _member(archive, members[name], name) for name in names}
 
 
@@ -107,10 +107,10 @@ def _header(head: IO[bytes]) -> tuple[tuple[int, ...], bool, np.dtype[Any]]:
             form = np.lib.format
             is_first = form.read_magic(head) == (1, 0)
             read = form.read_array_header_1_0 if is_first else form.read_array_header_2_0
-            found = read(head)
-        if any(isinstance(side, bool) for side in found[0]):
+            header = read(head)
+        if any(isinstance(side, bool) for side in header[0]):
             raise ValueError("True is no length")
-        return found
+        return header
     # NumPy and its parser of Python's literals raise ten kinds of error at malformed bytes.
     except Exception as error:
         raise ArrayFileError("not a readable NumPy file") from error

@@ -72,8 +72,8 @@ def each_frame(
         raise error(f"{name} has shape {given.shape}; expected {expected}, or several of them")
     out = np.empty((*given.shape[:several], *made), dtype=np.float32)
     if several:
-        for one, result in zip(given, out, strict=True):
-            apply(one, result)
+        for argument, result in zip(given, out, strict=True):
+            apply(argument, result)
     else:
         apply(given, out)
     return out
@@ -88,8 +88,8 @@ def shared(table: _Table) -> _Table:
     are alike take memory, and cache, once. It must not be modified.
     """
     key = table.dtype, table.shape, hashlib.sha256(table.tobytes()).digest()
-    found: _Table = _TABLES.setdefault(key, table)
-    return found
+    first_alike: _Table = _TABLES.setdefault(key, table)
+    return first_alike
 
 
 def edged(field: npt.NDArray[Any]) -> npt.NDArray[Any]:
@@ -107,5 +107,5 @@ def of_nine(field: npt.NDArray[Any], combine: np.ufunc) -> npt.NDArray[Any]:
     """
     padded = edged(field)
     rows = combine(combine(padded[:-2], padded[1:-1]), padded[2:])
-    found: npt.NDArray[Any] = combine(combine(rows[:, :-2], rows[:, 1:-1]), rows[:, 2:])
-    return found
+    combined: npt.NDArray[Any] = combine(combine(rows[:, :-2], rows[:, 1:-1]), rows[:, 2:])
+    return combined

@@ -185,12 +185,12 @@ def compiled(*signatures: Any, sums_in_any_order: bool = False) -> Callable[[Fun
         if not signatures:
             inner: Function = numba.njit(**options)(function)
             return inner
-        made = _stored(function, options)
-        if made is None:
+        dispatcher = _stored(function, options)
+        if dispatcher is None:
             _store_temporarily()
-            made = _stored(function, options) or numba.njit(**options)(function)
-        _SIGNATURES[made] = signatures
-        return made
+            dispatcher = _stored(function, options) or numba.njit(**options)(function)
+        _SIGNATURES[dispatcher] = signatures
+        return dispatcher
 
     return decorate
 

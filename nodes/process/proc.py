@@ -6,8 +6,10 @@ from pathlib import Path
 _TICK_HZ = os.sysconf("SC_CLK_TCK")
 _PAGE_BYTES = os.sysconf("SC_PAGE_SIZE")
 
-_UTIME, _STIME, _STARTTIME = 11, 12, 19
-"""Places in /proc/PID/stat after the name of the program (proc(5))."""
+# Places in /proc/PID/stat after the name of the program (proc(5)).
+_UTIME = 11
+_STIME = 12
+_STARTTIME = 19
 
 
 def _stat(pid: int) -> list[str]:
@@ -27,12 +29,14 @@ def cpu_s(pid: int) -> float:
 def age_s(pid: int) -> float:
     """Seconds since a process was started, one tick of the kernel's clock at least."""
     up_s = float(Path("/proc/uptime").read_text().split()[0])
-    return max(1 / _TICK_HZ, up_s - int(_stat(pid)[_STARTTIME]) / _TICK_HZ)
+    started_s = int(_stat(pid)[_STARTTIME]) / _TICK_HZ
+    return max(1 / _TICK_HZ, up_s - started_s)
 
 
 def resident_bytes(pid: int) -> int:
     """Resident memory of a process, shared pages included."""
-    return int(Path(f"/proc/{pid}/statm").read_text().split()[1]) * _PAGE_BYTES
+    fields = Path(f"/proc/{pid}/statm").read_text().split()
+    return int(fields[1]) * _PAGE_BYTES
 
 
 def own_bytes(pid: int) -> int:
@@ -43,6 +47,7 @@ def own_bytes(pid: int) -> int:
 
 def host_busy_s() -> float:
     """Processor time that all processes of this host have used since it was started, in seconds."""
-    ticks = [int(field) for field in Path("/proc/stat").read_text().split("\n")[0].split()[1:]]
+    first_line = Path("/proc/stat").read_text().partition("\n")[0]
+    ticks = [int(field) for field in first_line.split()[1:]]
     idle, waits_for_disk = ticks[3:5]
     return (sum(ticks[:8]) - idle - waits_for_disk) / _TICK_HZ

@@ -28,13 +28,14 @@ class Tally:
 
     def close(self) -> dict[str, int]:
         """Close the file; return what it held, as `counts` does."""
-        found = self.counts()
+        counts = self.counts()
         if self._numbers is not None:
             self._numbers.close()
         os.close(self.fd)
-        return found
+        return counts
 
     def counts(self) -> dict[str, int]:
         """Number of messages of each topic that has some."""
-        held = _COUNT.iter_unpack(os.pread(self.fd, _COUNT.size * len(self._topics), 0))
-        return {topic: n for topic, (n,) in zip(self._topics, held, strict=True) if n}
+        content = os.pread(self.fd, _COUNT.size * len(self._topics), 0)
+        numbers = _COUNT.iter_unpack(content)
+        return {topic: n for topic, (n,) in zip(self._topics, numbers, strict=True) if n}

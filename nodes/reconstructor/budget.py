@@ -90,10 +90,10 @@ def _steps_of_tiles(
     """As `steps_within`, of a solver that counts tiles."""
     solver.use_times(0, 0)
     costs = tile_costs(solver, phi, f_max)
-    most = solver.n_steps
-    frame_s = costs.of(most, most * solver.most_tiles)
+    n_steps = solver.n_steps
+    frame_s = costs.of(n_steps, n_steps * solver.most_tiles)
     if frame_s <= budget_s:
-        return most, frame_s
+        return n_steps, frame_s
     solver.use_times(*costs.times(budget_s))
     n_formula, n = solver.steps_for(solver.most_tiles)
     return n, costs.of(n_formula + n, n * solver.most_tiles)
@@ -104,8 +104,8 @@ def tile_costs(solver: CountsTiles, phi: Phi, f_max: float) -> TileCosts:
     reset, and does its largest number of steps in each frame.
     """
     rng = np.random.default_rng(0)
-    most = solver.n_steps
-    fewer = max(most // 3, 1)
+    n_steps = solver.n_steps
+    fewer = max(n_steps // 3, 1)
     pressed = phi.forward(rng.uniform(0, f_max, (N_OF_TILES, phi.n)).astype(np.float32))
     untouched = np.zeros(phi.m, dtype=np.float32)
 
@@ -114,8 +114,8 @@ def tile_costs(solver: CountsTiles, phi: Phi, f_max: float) -> TileCosts:
     n_tiles = 0
     begin_s = time.perf_counter()
     for k, y in enumerate(pressed):
-        cases = (untouched, fewer), (untouched, most), (y, most)
-        times_s = [_time_of(solver, phi, y, n_steps) for y, n_steps in cases]
+        cases = (untouched, fewer), (untouched, n_steps), (y, n_steps)
+        times_s = [_time_of(solver, phi, *case) for case in cases]
         if times_s[2] < least_s[2]:
             n_tiles = solver.n_tiles
         least_s = [min(pair) for pair in zip(least_s, times_s, strict=True)]
@@ -125,10 +125,10 @@ def tile_costs(solver: CountsTiles, phi: Phi, f_max: float) -> TileCosts:
 
     # Frames of fewer steps have some others, by a formula, before them.
     fewer_s, untouched_s, pressed_s = least_s
-    n_more = most - fewer - (N_FORMULA if fewer < CONVERGED <= most else 0)
+    n_more = n_steps - fewer - (N_FORMULA if fewer < CONVERGED <= n_steps else 0)
     step_s = max(untouched_s - fewer_s, 0.0) / max(n_more, 1)
     tile_s = max(pressed_s - untouched_s, LEAST_S) / max(n_tiles, 1)
-    return TileCosts(max(untouched_s - most * step_s, 0.0), step_s, tile_s)
+    return TileCosts(max(untouched_s - n_steps * step_s, 0.0), step_s, tile_s)
 
 
 def _time_of(solver: CountsTiles, phi: Phi, y: Floats, n_steps: int) -> float:

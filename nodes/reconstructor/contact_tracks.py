@@ -156,19 +156,19 @@ class ContactTracker:
         if regions is None:
             return self._end()
 
-        before = self._tracks
+        earlier = self._tracks
         # Sums are total, area, peak; then row, column, and x, y, z where the skin has places.
         places = regions.sums[3 : min(8, len(regions.sums) // 2 + 1)]
-        ids = self._ids(regions, places) if before.ids else [0] * places.shape[1]
+        ids = self._ids(regions, places) if earlier.ids else [0] * places.shape[1]
         for k, contact_id in enumerate(ids):
             if not contact_id:
                 self._last_id += 1
                 ids[k] = self._last_id
-        events = [(contact_id, BEGIN) for contact_id in ids if contact_id not in before.ids]
-        events += [(contact_id, END) for contact_id in before.ids if contact_id not in ids]
+        events = [(contact_id, BEGIN) for contact_id in ids if contact_id not in earlier.ids]
+        events += [(contact_id, END) for contact_id in earlier.ids if contact_id not in ids]
 
-        before.age_s += max(0.0, elapsed_s)
-        tracks = before.of(ids, places)
+        earlier.age_s += max(0.0, elapsed_s)
+        tracks = earlier.of(ids, places)
         self._tracks = tracks
         _move(tracks, places, elapsed_s)
 
@@ -194,7 +194,7 @@ class ContactTracker:
 
     def _ids(self, regions: Found, places: Doubles) -> list[int]:
         """Ids of the contacts of a frame; 0: a new one."""
-        before = self._tracks
+        tracks = self._tracks
         ids = [0] * places.shape[1]
 
         # Contacts and earlier ones that overlap, which is one to one in nearly all frames.
@@ -204,51 +204,51 @@ class ContactTracker:
         overlapped = {q for _, q in pairs}
         if len(overlapping) == len(overlapped) == len(pairs):
             for k, q in pairs:
-                ids[k] = before.ids[q]
+                ids[k] = tracks.ids[q]
         else:
             self._meet_and_part(regions.overlap, ids, places)
 
         # Fast ones overlap with none: the nearest ones are the same contact.
         alone = [k for k, row in enumerate(rows) if not (ids[k] or any(row))]
-        gone = [q for q in range(len(before.ids)) if q not in overlapped]
-        for k, q, distance in _nearest(alone, places, [before.places[:2, q] for q in gone]):
+        gone = [q for q in range(len(tracks.ids)) if q not in overlapped]
+        for k, q, distance in _nearest(alone, places, [tracks.places[:2, q] for q in gone]):
             if distance <= GATE + math.sqrt(regions.sums[1, k]):
-                ids[k] = before.ids[gone[q]]
+                ids[k] = tracks.ids[gone[q]]
         return ids
 
     def _meet_and_part(self, overlap: Indices, ids: list[int], places: Doubles) -> None:
         """Set the ids of contacts of which some overlap with several, or are overlapped by some."""
-        before = self._tracks
+        tracks = self._tracks
         for k, q in zip(*linear_sum_assignment(overlap, maximize=True), strict=True):
-            ids[k] = before.ids[q] if overlap[k, q] else 0
+            ids[k] = tracks.ids[q] if overlap[k, q] else 0
 
-        for q, merged in enumerate(before.ids):
+        for q, merged in enumerate(tracks.ids):
             if merged in self._apart:
                 parts = [k for k, contact_id in enumerate(ids) if contact_id == merged]
                 parts += [k for k, contact_id in enumerate(ids) if not contact_id and overlap[k, q]]
                 if len(parts) > 1:
                     self._part(merged, sorted(parts), ids, places)
 
-        for q, met in enumerate(before.ids):
+        for q, met in enumerate(tracks.ids):
             into = int(overlap[:, q].argmax())
-            if met not in ids and overlap[into, q] and ids[into] in before.ids:
+            if met not in ids and overlap[into, q] and ids[into] in tracks.ids:
                 merged = ids[into]
-                apart = self._apart.setdefault(merged, {})
-                apart.setdefault(merged, before.places[:2, before.ids.index(merged)])
-                apart[met] = before.places[:2, q]
-                apart.update(self._apart.get(met, {}))
+                places_of_parts = self._apart.setdefault(merged, {})
+                places_of_parts.setdefault(merged, tracks.places[:2, tracks.ids.index(merged)])
+                places_of_parts[met] = tracks.places[:2, q]
+                places_of_parts.update(self._apart.get(met, {}))
 
     def _part(self, merged: int, parts: Sequence[int], ids: list[int], places: Doubles) -> None:
         """Give the parts of merged contacts the ids that were nearest to them before."""
-        apart = self._apart[merged]
-        ids_before = list(apart)
-        nearest = _nearest(parts, places, [*apart.values()])
+        places_of_parts = self._apart[merged]
+        ids_before = list(places_of_parts)
+        nearest = _nearest(parts, places, [*places_of_parts.values()])
         for k in parts:
             ids[k] = 0
         for k, j, _ in nearest:
             ids[k] = ids_before[j]
-            del apart[ids_before[j]]
-        if merged in apart or len(apart) < 2:
+            del places_of_parts[ids_before[j]]
+        if merged in places_of_parts or len(places_of_parts) < 2:
             del self._apart[merged]
 
     def _fields(self, sums: Doubles) -> dict[str, Any]:

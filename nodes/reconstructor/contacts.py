@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence, Set
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -139,42 +139,84 @@ class ContactFinder:
         force.
         """
         unit = error if unit is None else unit
-        high, n_before, waiting, self._waiting = limits.high * unit, self._n, self._waiting, None
+        high = limits.high * unit
+        n_before = self._n
+        waiting = self._waiting
+        self._waiting = None
         if not n_before and float(forces.max()) <= high:
             return None
+
         forces = np.ascontiguousarray(forces, dtype=np.float32)
-        weights = self._alike if sd is None else np.square(sd, dtype=np.float32).reshape(-1)
-        low = np.float32(limits.low * unit)
-        given = forces, low, high, weights, self._places, self.regions, n_before
-        index, labels, sums, overlap, n_above = self._components(*given)
-        held = {column.index(max(column)) for column in overlap.T.tolist() if any(column)}
-        again = () if waiting is None else set(labels[waiting[index]].tolist())
-        kept: list[int] = []
-        numbers = []  # of each component, that of its contact, from 1 on; 0: none, -1: maybe next
-        for c, (total, area, peak) in enumerate(sums[:3].T.tolist()):
-            fits = total >= limits.force and area >= limits.area and peak > high
-            stays = c in held and total >= HELD * limits.force
-            stays |= fits and (peak > AT_ONCE * high or c in again)
-            kept += [c] * stays
-            numbers.append(len(kept) if stays else -fits)
-        if len(kept) < len(numbers):
-            regions = np.array(numbers, dtype=np.int32)[labels]
-            self.regions[index] = np.maximum(regions, 0)
-            if -1 in numbers:
-                self._waiting = np.zeros(self.regions.size, dtype=np.bool_)
-                self._waiting[index[regions < 0]] = True
-            sums, overlap = sums[:, kept], overlap[kept]
-        self._n = len(kept)
-        if not kept:
+        variances = self._alike if sd is None else np.square(sd, dtype=np.float32).reshape(-1)
+        index, labels, sums, overlap, n_above = self._components(
+            forces,
+            np.float32(limits.low * unit),
+            high,
+            variances,
+            self._places,
+            self.regions,
+            n_before,
+        )
+        waited = set() if waiting is None else set(labels[waiting[index]].tolist())
+        contacts, candidates = _contacts_among(sums, overlap, high, limits, waited)
+        if len(contacts) < sums.shape[1]:
+            self._leave_out(index, labels, contacts, candidates, sums.shape[1])
+            sums = sums[:, contacts]
+            overlap = overlap[contacts]
+        self._n = len(contacts)
+        if not contacts:
             return None
-        share = self._n_taxels / n_above if is_mean else 1.0
+
+        # Variances become standard deviations, of which an error that all forces share adds to
+        # that of the total; then normals become unit vectors.
+        scale = 1.0
+        if sd is None:
+            share = self._n_taxels / n_above if is_mean else 1.0
+            scale = SD_SCALE**2 * share * error**2
         k = 3 + len(self._places)
-        scale = SD_SCALE**2 * share * error**2 if sd is None else 1.0
         np.sqrt(scale * sums[k:], out=sums[k:])
         np.hypot(sums[k], common * sums[0], out=sums[k])
         if k > 8:
             sums[8:k] /= np.maximum(np.linalg.norm(sums[8:k], axis=0), 1e-12)
         return Found(sums, overlap)
+
+    def _leave_out(
+        self,
+        index: Indices,
+        labels: Indices,
+        contacts: Sequence[int],
+        candidates: Sequence[int],
+        n_components: int,
+    ) -> None:
+        """Number the cells by contact, and let those of candidates wait for the next frame."""
+        number_of_component = np.zeros(n_components, dtype=np.int32)
+        number_of_component[contacts] = np.arange(1, len(contacts) + 1)
+        self.regions[index] = number_of_component[labels]
+        if candidates:
+            self._waiting = np.zeros(self.regions.size, dtype=np.bool_)
+            self._waiting[index[np.isin(labels, candidates)]] = True
+
+
+def _contacts_among(
+    sums: Doubles, overlap: Indices, high: float, limits: Limits, waited: Set[int]
+) -> tuple[list[int], list[int]]:
+    """The components that are contacts, and those that are if they are there in the next frame.
+
+    `sums` and `overlap` as of `components`; `waited`: the candidates of the frame before.
+    """
+    # Each contact of the frame before goes on in the component that it overlaps with most.
+    continued = {column.index(max(column)) for column in overlap.T.tolist() if any(column)}
+    contacts = []
+    candidates = []
+    for component, (total, area, peak) in enumerate(sums[:3].T.tolist()):
+        fits = total >= limits.force and area >= limits.area and peak > high
+        goes_on = component in continued and total >= HELD * limits.force
+        begins = fits and (peak > AT_ONCE * high or component in waited)
+        if goes_on or begins:
+            contacts.append(component)
+        elif fits:
+            candidates.append(component)
+    return contacts, candidates
 
 
 def components(
@@ -202,23 +244,33 @@ def components(
     labels = grid.reshape(-1)[index].astype(np.intp) - 1
     peak = np.zeros(n)
     np.maximum.at(peak, labels, forces.reshape(-1)[index])
-    kept = (peak > high) | (np.bincount(labels, regions[index], n) > 0)
-    index, labels = index[kept[labels]], (np.cumsum(kept) - 1)[labels[kept[labels]]]
-    peak, n, p = peak[kept], np.count_nonzero(kept), n_regions + 1
+
+    # Components that are neither high enough nor in a region that is there are left out.
+    is_contact = (peak > high) | (np.bincount(labels, regions[index], n) > 0)
+    number_of_component = np.cumsum(is_contact) - 1
+    is_in_contact = is_contact[labels]
+    index = index[is_in_contact]
+    labels = number_of_component[labels[is_in_contact]]
+    peak = peak[is_contact]
+    n = np.count_nonzero(is_contact)
+
     values = forces.reshape(-1)[index].astype(np.float64)
-    here = places[:, index]
+    places_of_taxels = places[:, index]
     of_each = variances[index].astype(np.float64)
 
     def summed(numbers: Doubles) -> Doubles:
         return np.array([np.bincount(labels, row, n) for row in numbers])
 
     total, area, variance = summed(np.stack([values, np.ones(index.size), of_each]))
-    means = summed(values * here) / total
-    apart = summed(of_each * np.square(here - means[:, labels])) / total**2
+    means = summed(values * places_of_taxels) / total
+    spread = summed(of_each * np.square(places_of_taxels - means[:, labels])) / total**2
+
+    # Region 0 is none.
+    p = n_regions + 1
     overlap = np.bincount(labels * p + regions[index], minlength=n * p).reshape(n, p)[:, 1:]
     regions.fill(0)
     regions[index] = labels + 1
-    sums = np.stack([total, area, peak, *means, variance, *apart])
+    sums = np.stack([total, area, peak, *means, variance, *spread])
     return index, labels, sums, overlap, int(np.count_nonzero(grid))
 
 
@@ -296,8 +348,8 @@ def find_contacts(
     forces = np.where(skin.exists, forces, np.float32(0))
     limits = Limits(low, high / AT_ONCE, force, area)
     finder = ContactFinder(skin)
-    found = finder.find(forces, error, limits, is_mean=is_mean, sd=sd)
-    sums = np.zeros((8, 0)) if found is None else found.sums
+    contacts = finder.find(forces, error, limits, is_mean=is_mean, sd=sd)
+    sums = np.zeros((8, 0)) if contacts is None else contacts.sums
     total, n_taxels, peak, _, _, total_sd, _, _ = sums
     taxels = np.flatnonzero(finder.regions)
     labels = finder.regions[taxels].astype(np.intp) - 1

@@ -175,8 +175,8 @@ class IdleWatch:
         share = np.maximum(SLOW / (2 - SLOW), 1 / n_slow) + 1 / (n * len(self._subsets))
         slow = (self._slow**2 / (variances * share[:, None])).max(axis=1)
         limit = self._z_tile**2
-        found: Mask = (normal > self._z_total) | (largest > limit) | (slow > limit)
-        return found
+        differs: Mask = (normal > self._z_total) | (largest > limit) | (slow > limit)
+        return differs
 
     def _learn_variances(self, patch: int) -> None:
         """Variances of the taxels under the last forces of a patch: mean, spread, of tiles."""
@@ -201,5 +201,5 @@ def _tiles(exists: Mask) -> tuple[np.ndarray[tuple[int], np.dtype[np.intp]], int
     rows, cols = np.nonzero(exists)
     high = min(TILES, n_rows)
     wide = min(TILES, n_cols)
-    found = rows * high // n_rows * wide + cols * wide // n_cols
-    return found, high * wide
+    tile_of_taxel = rows * high // n_rows * wide + cols * wide // n_cols
+    return tile_of_taxel, high * wide

@@ -54,11 +54,11 @@ def reconstruction_warnings(
         elif lambda_n < low:
             warnings.append(f"lambda_n = {lambda_n:g}: the noise is fitted; {advised}")
     iterations = options.get("iterations")
-    least = solver_fact(cls, "least_iterations")
-    if iterations is not None and iterations < least:
+    n_least = solver_fact(cls, "least_iterations")
+    if iterations is not None and iterations < n_least:
         warnings.append(
             f"iterations = {iterations}: {solver} takes several frames to follow a sudden contact; "
-            f"advised: {least} or more"
+            f"advised: {n_least} or more"
         )
     if not solver_fact(cls, "uses_basis") and basis != "haar":
         advised = "haar, or a solver that uses it"

@@ -113,15 +113,15 @@ class Reconstructor(Node[ReconstructorSettings]):
             yield from self._reconstruct(message)
             return
 
-        before: Message | None = None
+        previous: Message | None = None
         if isinstance(message, SkinState):
-            before = self._skin
+            previous = self._skin
             self._skin = message
         elif isinstance(message, PhiState):
-            before = self._announced
+            previous = self._announced
             self._announced = message
 
-        if self._subsets and before is not None and _is_alike(message, before):
+        if self._subsets and previous is not None and _is_alike(message, previous):
             self._state_noise()
             return
         if self._skin is None or self._announced is None:
@@ -136,9 +136,9 @@ class Reconstructor(Node[ReconstructorSettings]):
         self._skipped += isinstance(message, Measurements)
 
     def change(self, settings: ReconstructorSettings) -> Iterable[Message]:
-        before = self.settings
+        previous = self.settings
         self.settings = settings
-        if alike_but_for_contacts(before, settings):
+        if alike_but_for_contacts(previous, settings):
             for patch in self._patches:
                 patch.set_limits(settings)
             return ()
@@ -147,31 +147,29 @@ class Reconstructor(Node[ReconstructorSettings]):
         try:
             return (self._set_up(self._skin, self._announced, self.context.clock.now_ns()),)
         except Exception:  # a user's own solver may raise anything
-            self.settings = before
+            self.settings = previous
             raise
 
     def state(self) -> dict[str, Any]:
-        chosen = self.settings.chosen()
+        in_force = self.settings.chosen()
         preset = self.settings.preset
         state: dict[str, Any] = {
             "left_out": self._left_out,
             "depth": self.depth,
-            "swamped": any(patch.faults.swamped for patch in self._patches),
-            "faulty_taxels": self._patches[0].faults.taxels,
         }
         if self.settings.skip_idle:
             state["idle"] = self._n_idle
         if not self._uses_basis:
             state["basis"] = None
-        return {**chosen, "preset": preset if chosen == PRESETS[preset] else "", **state}
+        return {**in_force, "preset": preset if in_force == PRESETS[preset] else "", **state}
 
     def status(self) -> str:
-        chosen = self.settings.chosen()
+        in_force = self.settings.chosen()
         if not self._subsets:
             return ""
-        solver = f"solver {chosen['solver']}"
+        solver = f"solver {in_force['solver']}"
         if self._uses_basis:
-            solver += f" in {chosen['basis']}"
+            solver += f" in {in_force['basis']}"
         patches = ""
         if len(self._patches) > 1:
             patches = f"{len(self._patches)} patches"
@@ -193,7 +191,7 @@ class Reconstructor(Node[ReconstructorSettings]):
 
     @property
     def _left_out(self) -> str:
-        """Measurements and taxels that are excluded now."""
+        """Measurements that are excluded now."""
         texts = {n: p.faults.text for n, p in zip(self._names, self._patches, strict=True)}
         if len(set(texts.values())) == 1:
             return texts[self._names[0]]
@@ -205,17 +203,17 @@ class Reconstructor(Node[ReconstructorSettings]):
 
     def _set_up(self, state: SkinState, announced: PhiState, stamp_ns: int) -> SolverState:
         """Make Phi and solvers for a skin; return the message that announces them."""
-        chosen = self.settings.chosen()
+        in_force = self.settings.chosen()
         subsets = phis_to_invert(self.settings, state, announced)
 
         # The patches share what does not depend on their frames with the first one.
         self._log.setting_up = True
         try:
-            first, *others = self._patches
+            leader, *other_patches = self._patches
             of_skin = self.settings, subsets, state, announced, self.context.live
-            solver = first.set_up(*of_skin)
-            for patch in others:
-                patch.set_up(*of_skin, alike=first)
+            solver = leader.set_up(*of_skin)
+            for patch in other_patches:
+                patch.set_up(*of_skin, alike=leader)
         finally:
             self._log.setting_up = False
         self._subsets = {phi.fingerprint: phi for phi in subsets}
@@ -229,10 +227,10 @@ class Reconstructor(Node[ReconstructorSettings]):
 
             self._idle = IdleWatch(len(self._patches), state, subsets)
 
-        solver = {"solver": chosen["solver"], **solver}
+        solver = {"solver": in_force["solver"], **solver}
         if not self._uses_basis:
             solver["basis"] = ""
-        preset = self.settings.preset if chosen == PRESETS[self.settings.preset] else ""
+        preset = self.settings.preset if in_force == PRESETS[self.settings.preset] else ""
         return SolverState(stamp_ns=stamp_ns, patch=self.settings.patch, preset=preset, **solver)
 
     def _state_noise(self) -> None:
@@ -249,11 +247,11 @@ class Reconstructor(Node[ReconstructorSettings]):
             raise RefusedError(f"{measurements.topic}: of other patches than this node serves")
         phi = self._subsets.get(measurements.phi)
         if phi is None:
-            first, *others = self._subsets
-            rotating = f" and {len(others)} other row subsets" if others else ""
+            subset, *other_subsets = self._subsets
+            rotating = f" and {len(other_subsets)} other row subsets" if other_subsets else ""
             raise RefusedError(
                 f"{measurements.topic}: Phi mismatch: made by Phi {measurements.phi}, "
-                f"this reconstructor inverts Phi {first}{rotating}"
+                f"this reconstructor inverts Phi {subset}{rotating}"
             )
         return phi
 
@@ -368,14 +366,14 @@ def _is_alike(message: Message, before: Message) -> bool:
 
 def _rehearse(settings: ReconstructorSettings) -> None:
     """Reconstruct one empty frame of a small skin: no frame of the graph waits for an import."""
-    chosen = dict(settings.chosen())
-    names = chosen.pop("solver"), chosen.pop("basis")
+    in_force = dict(settings.chosen())
+    names = in_force.pop("solver"), in_force.pop("basis")
     if any(":" in name for name in names):
         return
     phi = make_phi("sbhe", n=64, m=21, seed=0)
     with contextlib.suppress(SparseskinError):  # settings for another size; `_set_up` reports them
         solver = make_solver(
-            names[0], phi, make_basis(names[1], 8, 8), fast=settings.fast, **chosen
+            names[0], phi, make_basis(names[1], 8, 8), fast=settings.fast, **in_force
         )
         solver.solve(np.zeros(phi.m, dtype=np.float32))
 

@@ -68,7 +68,9 @@ class Patch:
         self.settings = settings
         self.log = log
         self.solver: Solver | None = None
-        self.faults = FaultWatch(Noise(1.0), np.ones((1, 1), dtype=np.bool_))  # until `set_up`
+        #: The solver where it counts the tiles of its steps, else None.
+        self._tiles: CountsTiles | None = None
+        self.faults = FaultWatch(Noise(1.0), (1, 1))  # until `set_up`
         self.solved: Solved | None = None
         #: Steps of a frame that the budget allows.
         self.most_steps = 0
@@ -121,6 +123,7 @@ class Patch:
                 warnings += check_phi(one, solver.mask)
         for warning in dict.fromkeys(warnings):
             self.log(warning)
+        tiles = solver if isinstance(solver, CountsTiles) else None
         budget_ms = settings.budget_ms
         follows = live and "iterations" not in options and bool(getattr(solver, "paces", ()))
         if budget_ms is None and follows and state.rate_hz:
@@ -129,8 +132,8 @@ class Patch:
         frame_ms = 0.0
         if alike is not None:
             most_steps = alike.most_steps
-            if isinstance(solver, CountsTiles) and isinstance(alike.solver, CountsTiles):
-                solver.use_times(*alike.solver.times)
+            if tiles is not None and alike._tiles is not None:
+                tiles.use_times(*alike._tiles.times)
             elif most_steps in getattr(solver, "paces", ()):
                 solver.use_pace(most_steps)
         elif budget_ms is not None:
@@ -139,8 +142,8 @@ class Patch:
             frame_ms = round(1e3 * frame_s, 3)
             usual = most_steps
             where = ""
-            if isinstance(solver, CountsTiles) and solver.times[0]:
-                usual = solver.steps_for(int(USUAL_PART * solver.most_tiles))[1]
+            if tiles is not None and tiles.times[0]:
+                usual = tiles.steps_for(int(USUAL_PART * tiles.most_tiles))[1]
                 where = f" where {USUAL_PART:.0%} of the skin is pressed"
             if usual < solver_fact(cls, "least_iterations"):
                 self.log(
@@ -150,6 +153,7 @@ class Patch:
                 )
         self.settings = settings
         self.solver = solver
+        self._tiles = tiles
         self._subsets = subsets
         self.most_steps = most_steps
         self._watch_faults(settings, state, solver.mask)
@@ -173,9 +177,9 @@ class Patch:
             "lambda_n": options.get("lambda_n", 0.0),
             "frame_ms": frame_ms,
         }
-        if isinstance(solver, CountsTiles) and solver.times[0]:
-            frame_tiles, step_tiles = solver.times
-            _, stated["iterations"] = solver.steps_for(solver.most_tiles)
+        if tiles is not None and tiles.times[0]:
+            frame_tiles, step_tiles = tiles.times
+            _, stated["iterations"] = tiles.steps_for(tiles.most_tiles)
             stated["max_iterations"] = solver.n_steps
             stated |= {"frame_tiles": frame_tiles, "step_tiles": step_tiles}
         return stated
@@ -183,11 +187,10 @@ class Patch:
     def _watch_faults(self, settings: ReconstructorSettings, skin: SkinState, mask: Mask) -> None:
         """Watch the frames of a skin from now on."""
         self.faults = FaultWatch(
-            Noise(skin.f_max, skin.least_sd, _noise_model(skin)),
-            mask,
+            Noise(skin.f_max, skin.least_sd),
+            mask.shape,
             self.log,
             watch_rows=settings.watch_rows,
-            watch_taxels=settings.watch_taxels,
         )
 
     def set_noise(self, skin: SkinState) -> None:
@@ -233,13 +236,14 @@ class Patch:
             return
         begin_ns = time.perf_counter_ns()
         self.solver.setup(self._believed, self._warm)
-        most = self.solver.n_steps
-        if not isinstance(self.solver, CountsTiles):
-            most = min(self.most_steps, most)
-        for _ in range(most):
+        # One that counts tiles ends its steps by itself.
+        n_steps = self.solver.n_steps
+        if self._tiles is None:
+            n_steps = min(self.most_steps, n_steps)
+        for _ in range(n_steps):
             self.solver.step()
         self._last = self.solver.finish()
-        self._n_steps = self.solver.n_done if isinstance(self.solver, CountsTiles) else most
+        self._n_steps = n_steps if self._tiles is None else self._tiles.n_done
         self._error, _ = estimated_error(self.solver)
         self._common_error = self.solver.common_error
         self._solve_ns = time.perf_counter_ns() - begin_ns

@@ -171,9 +171,6 @@ class ReconstructorSettings(PatchesSettings):
         "compiled loops: auto (where numba is installed), on or off; the same but for rounding",
         choices=FAST,
     )
-    watch_taxels: bool = setting(
-        True, "leave out taxels that are stuck, on a skin with noise; neighbours fill them in"
-    )
     phi: str = setting(
         ANNOUNCED,
         "kind of the measurement matrix, where it is not built in: module:Class or file:PATH, as "
@@ -207,15 +204,19 @@ class ReconstructorSettings(PatchesSettings):
         if self.preset not in PRESETS:
             hint = nearest_of(self.preset, PRESETS)
             raise SettingsError(f"preset: '{self.preset}' is not known{hint}")
-        chosen = self.chosen()
-        name = chosen["solver"]
+        in_force = self.chosen()
+        name = in_force["solver"]
         with naming("basis"):
-            find_basis(chosen["basis"])
+            find_basis(in_force["basis"])
         with naming("solver"):
             solver = solver_class(name)
         self._check_known_to(name, solver)
         if self.uncertainty and solver_fact(solver, "calibrated") is None:
-            calibrated = [one for one in SOLVERS if solver_fact(solver_class(one), "calibrated")]
+            calibrated = [
+                solver_name
+                for solver_name in SOLVERS
+                if solver_fact(solver_class(solver_name), "calibrated")
+            ]
             fault = f"is not available with solver {name}, whose error is not known"
             raise SettingsError(f"uncertainty: {fault}; allowed: {', '.join(calibrated)}")
 
@@ -228,7 +229,7 @@ class ReconstructorSettings(PatchesSettings):
                     f"{key}: solver {name} has none; allowed: to leave it out, "
                     "or a solver that has it (preset paper)"
                 )
-        known = [
+        options = [
             key
             for key, p in parameters.items()
             if key not in _NO_OPTIONS and p.kind is not p.VAR_KEYWORD
@@ -236,9 +237,9 @@ class ReconstructorSettings(PatchesSettings):
         for key, value in (self.options or {}).items():
             if key in ("iterations", "lambda_n"):
                 raise SettingsError(f"options.{key}: is a setting of its own; allowed: {key}")
-            if key in _NO_OPTIONS or (key not in known and not takes_any):
+            if key in _NO_OPTIONS or (key not in options and not takes_any):
                 none = "; it has none beside the settings iterations and lambda_n"
-                allowed = nearest_of(key, known) if known else none
+                allowed = nearest_of(key, options) if options else none
                 raise SettingsError(f"options.{key}: is no option of solver {name}{allowed}")
             if not (isinstance(value, str | bool) or is_real(value)):
                 raise SettingsError(
@@ -248,8 +249,8 @@ class ReconstructorSettings(PatchesSettings):
 
     def changed(self, changes: Mapping[str, Any]) -> Self:
         """As in `Settings`; a preset replaces what was stated in place of an earlier one's."""
-        own = dict.fromkeys(("solver", "basis", "iterations", "lambda_n", "options"))
-        return super().changed({**own, **changes} if "preset" in changes else changes)
+        of_preset = dict.fromkeys(("solver", "basis", "iterations", "lambda_n", "options"))
+        return super().changed({**of_preset, **changes} if "preset" in changes else changes)
 
     def check_phi(self, kind: str) -> None:
         """Check that measurements by an announced kind of phi can be reconstructed.
@@ -262,12 +263,12 @@ class ReconstructorSettings(PatchesSettings):
                 f"phi: the compressor's '{kind}' is not built in, and is not imported because a "
                 f"message names it; state phi = '{kind}' here too"
             )
-        chosen = self.chosen()["solver"]
-        solver = solver_class(chosen)
+        solver_name = self.chosen()["solver"]
+        solver = solver_class(solver_name)
         phi = phi_class(kind)
         if isinstance(phi, type):
             with naming("solver"):
-                check_reads(chosen, solver, kind, phi)
+                check_reads(solver_name, solver, kind, phi)
             if self.uncertainty and phi_fact(phi, "choice"):
                 fault = f"is not available with phi {kind}, whose rows change each frame"
                 raise SettingsError(f"uncertainty: {fault}; allowed: sbhe")

@@ -49,6 +49,11 @@ class Doubt:
         return self._rest.reason
 
     @property
+    def stuck_cells(self) -> list[int]:
+        """Flat cells of the stuck taxels of the last frame, in order, as of `Repeats`."""
+        return self._repeats.cells
+
+    @property
     def line(self) -> str:
         """What makes all frames so far untrusted, with the settings that answer it, behind `ADD`;
         "" if nothing does.
@@ -70,7 +75,6 @@ class Doubt:
         """Reason of a frame, float32 (n_rows, n_cols), 0 in masked cells; "" if there is none.
         `clipped` are the counts to which it was added before it was clipped.
         """
-
         if self._rest is not None and self._rest.update(forces):
             self._is_new = True
 
@@ -82,6 +86,10 @@ class Doubt:
 
         repeats = self._repeats.reason(forces)
         return self.level or clipped.reason(self._skin.n_taxels) or repeats
+
+    def filled(self, forces: Floats) -> Floats:
+        """The last frame with stuck taxels filled in by the working ones beside them."""
+        return self._repeats.filled(forces)
 
     def _line_on(self, sign: Sign) -> str:
         depth = f"{-sign.lowest:.3g} {printable(self._skin.unit)}"

@@ -33,6 +33,8 @@ WAIT_S = 0.05
 """Longest wait for a frame of a board, seconds; chosen: commands and signals wait no longer."""
 LOG_S = 10
 """Least time between two lines of clipped readings, seconds; chosen: a log stays readable."""
+MOST_NAMED = 8
+"""Most taxels that a line names."""
 _Bits = npt.NDArray[np.uint8]
 
 
@@ -105,6 +107,7 @@ class Sensor(SourceNode[SensorSettings]):
         self._taxels: Taxels | None = None
         self._truth_message: Truth | None = None
         self._n_frames = 0
+        self._n_stuck = 0
         self._n_logged = 0
         self._logged_ns = 0
 
@@ -318,6 +321,8 @@ class Sensor(SourceNode[SensorSettings]):
             state |= self._stage.state()
         if self.settings.accepts_missing:
             state |= self._readings.state()
+        if self._doubt is not None:
+            state["faulty_taxels"] = self._doubt.stuck_cells
         return state
 
     def status(self) -> str:
@@ -438,7 +443,9 @@ class Sensor(SourceNode[SensorSettings]):
             forces, missing = filled
 
         if source.delivers == "taxels":
-            return _Frame(forces, None, missing, self._reason(forces))
+            reason = self._reason(forces)
+            assert self._doubt is not None
+            return _Frame(self._doubt.filled(forces), None, missing, reason)
         return _Frame(self._measured(forces), self._truth(forces), missing)
 
     def _reason(self, forces: Floats) -> str:
@@ -447,6 +454,7 @@ class Sensor(SourceNode[SensorSettings]):
             has_level = not self._stated_rest
             self._doubt = Doubt(self.skin, has_level=has_level, is_inverted=self.settings.invert)
         reason = self._doubt.look(forces, self._clips)
+        self._note_stuck(self._doubt.stuck_cells)
         line = self._doubt.take_line()
         if line:
             self._say(line)
@@ -455,6 +463,16 @@ class Sensor(SourceNode[SensorSettings]):
         if self._described_changes and reason == Reason.REST:
             return self._clips.reason(self.skin.n_taxels)
         return reason
+
+    def _note_stuck(self, cells: list[int]) -> None:
+        """Log the stuck taxels when they are found, then when their number has doubled."""
+        if len(cells) <= 2 * self._n_stuck:
+            return
+        self._n_stuck = len(cells)
+        names = [str(divmod(cell, self.skin.n_cols)) for cell in cells[:MOST_NAMED]]
+        if len(cells) > MOST_NAMED:
+            names.append("...")
+        self.context.log(f"stuck taxels, filled in by those beside them: {', '.join(names)}")
 
     def _say(self, line: str) -> None:
         """Log a line that names settings, for the end of the run, too."""

@@ -8,7 +8,7 @@ import numpy as np
 
 from sparseskin.messages import Reason
 from sparseskin.messages.skin import Skin
-from sparseskin.nodes.numerics.arrays import Floats, Indices
+from sparseskin.nodes.numerics.arrays import Floats, Indices, Mask, of_nine
 
 from .sign import Margin
 
@@ -29,6 +29,8 @@ LEAST_RUN = 3
 LEAST_RUN_AT_END = 10
 """The same at the upper end of the range, where readings repeat because they are clipped. Chosen:
 one in 1000 runs of a force that is just at the end."""
+MAX_CELLS = 256
+"""Most stuck taxels whose cells are published: more are no single faults."""
 SHARE = 0.25
 """Part of the RMS force of a frame from which on it is not trusted, if it is that of such taxels.
 Derived: an error of that part is not trusted either."""
@@ -43,12 +45,21 @@ class Repeats:
 
     Readings of 0 say nothing: noise below 0 is clipped there. Where untouched taxels read 0 in more
     than two of three frames, the converter hides their noise, and nothing is concluded at all.
+
+    Attributes
+    ----------
+    stuck : ndarray of bool, shape (n_rows, n_cols)
+        Taxels of the last frame whose readings are none: they are stuck, below the end of the range
+        and while others are not. At its end, a force may be as large.
     """
 
     def __init__(self, skin: Skin) -> None:
         self._f_max = np.float32(skin.f_max)
         self._margin = Margin()
-        self._taxels = None if skin.mask is None else np.flatnonzero(skin.mask)
+        self._exists = skin.exists.reshape(-1)
+        self._are_all = skin.mask is None
+        self.stuck: Mask = np.zeros(skin.shape, np.bool_)
+        self._is_any_stuck = False
         self._last: Floats = np.zeros(0, np.float32)
         #: Taxels that repeated their last reading, and how often in a row.
         self._repeated: Indices = np.zeros(0, np.intp)
@@ -63,19 +74,20 @@ class Repeats:
         it has none.
         """
         readings = forces.reshape(-1)
-        if self._taxels is not None:
-            readings = readings[self._taxels]
-        margin = self._margin.of(readings, float(self._f_max), None)
-        last = self._last
+        if self._is_any_stuck:
+            self._set_stuck(np.zeros(forces.shape, np.bool_))
+        taxels = readings if self._are_all else readings[self._exists]
+        margin = self._margin.of(taxels, float(self._f_max), None)
+        before = self._last
         self._last = readings.copy()
-        if readings.size != last.size:
-            self._repeated = np.zeros(0, np.intp)
-            self._runs = np.zeros(0, np.intp)
+        if readings.size != before.size:
+            self._repeated = self._repeated[:0]
+            self._runs = self._runs[:0]
             return ""
 
         # Hardly a taxel repeats: what follows is done for those alone.
-        repeated = np.flatnonzero((readings == last) & (readings != 0))
-        self._count(last, repeated, margin)
+        repeated = np.flatnonzero((readings == before) & (readings != 0))
+        self._count(before, repeated, margin)
         self._extend_runs(repeated, readings.size)
         if not repeated.size:
             return ""
@@ -85,11 +97,20 @@ class Repeats:
         at_end = readings[repeated] >= self._f_max
         is_stuck = self._runs >= np.where(at_end, max(needed, LEAST_RUN_AT_END), needed)
         stuck = repeated[is_stuck]
+        is_frozen = stuck.size == np.count_nonzero(readings)
+        if not is_frozen:
+            mask = np.zeros(forces.shape, np.bool_)
+            mask.flat[repeated[is_stuck & ~at_end]] = True
+            self._set_stuck(mask)
         if not self._matters(readings, stuck):
             return ""
-        if stuck.size == np.count_nonzero(readings):
+        if is_frozen:
             return Reason.FROZEN
         return Reason.CLIPPED if at_end[is_stuck].all() else Reason.STUCK
+
+    def _set_stuck(self, stuck: Mask) -> None:
+        self.stuck = stuck
+        self._is_any_stuck = bool(stuck.any())
 
     def _extend_runs(self, repeated: Indices, n: int) -> None:
         """Count the taxels, of n, that have repeated their reading, by number."""
@@ -98,12 +119,30 @@ class Repeats:
             runs[self._repeated] = self._runs
             self._runs = runs[repeated] + 1
         else:
-            self._runs = np.zeros(0, np.intp)
+            self._runs = self._runs[:0]
         self._repeated = repeated
+
+    @property
+    def cells(self) -> list[int]:
+        """Flat cells of the stuck taxels, in order; of many the first `MAX_CELLS`."""
+        return [int(cell) for cell in np.flatnonzero(self.stuck)[:MAX_CELLS]]
+
+    def filled(self, forces: Floats) -> Floats:
+        """The last frame, float32 (n_rows, n_cols), in which each stuck taxel has the mean of the
+        working ones beside it, 0 where there is none.
+        """
+        if not self._is_any_stuck:
+            return forces
+        works = self._exists.reshape(forces.shape) & ~self.stuck
+        n_working = of_nine(works.astype(np.float32), np.add)
+        sums = of_nine(np.where(works, forces, np.float32(0)), np.add)
+        return np.where(self.stuck, sums / np.maximum(n_working, 1), forces)
 
     def _count(self, before: Floats, repeated: Indices, margin: float) -> None:
         """Add the pairs of readings of untouched taxels to the counts."""
         untouched = np.abs(before) <= margin
+        if not self._are_all:
+            untouched &= self._exists
         shown = untouched & (before != 0)
         self._n_untouched += int(np.count_nonzero(untouched))
         self._n_shown += int(np.count_nonzero(shown))

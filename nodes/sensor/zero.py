@@ -17,7 +17,7 @@ from .saturation import Clipped
 
 class Zero:
     """Makes forces of the readings of one skin, frame by frame, as the sensor node does, and states
-    why they are not to be trusted.
+    why they are not to be trusted. Stuck taxels have the mean of those beside them.
 
     Parameters
     ----------
@@ -86,4 +86,4 @@ class Zero:
             existing = np.where(self._skin.mask, forces, np.float32(0))
         self._clipped.add(existing, 0.0, self._skin.f_max)
         self.reason = self.doubt.look(existing, self._clipped)
-        return forces
+        return self.doubt.filled(forces)

@@ -335,10 +335,10 @@ class RosRecording(Recording):
         frame_ids = {stream.first.frame_id: None, received.frame_id: None}
         for message in messages:
             try:
-                other = stream.reader.read_frame(plain_message(message.data))
+                frame = stream.reader.read_frame(plain_message(message.data))
             except SourceError:
                 continue
-            frame_ids[other.frame_id] = None
+            frame_ids[frame.frame_id] = None
             if len(frame_ids) >= MAX_FRAME_IDS:
                 break
         names = ", ".join(repr(printable(frame_id[:40])) for frame_id in frame_ids)

@@ -112,10 +112,10 @@ class AdaptivePhi(Phi):
 
     def follow(self, code: Code) -> None:
         try:
-            chosen = self.tree.decoded(code)
+            nodes = self.tree.decoded(code)
         except ValueError as cause:
             raise PhiError(f"adaptive: the code of the nodes is malformed: {cause}") from cause
-        self.choose(chosen)
+        self.choose(nodes)
 
     def forget(self) -> None:
         self._edge = None
@@ -263,7 +263,7 @@ class AdaptiveChoice:
         rows = self._held
         self._age += 1
         self._values = np.zeros(phi.n)
-        chosen = np.zeros(tree.n_nodes, dtype=np.bool_)
+        is_chosen = np.zeros(tree.n_nodes, dtype=np.bool_)
 
         # The sums of all tiles.
         rows.begin()
@@ -277,19 +277,19 @@ class AdaptiveChoice:
             rows.update()
             expected2 = rows.changed2() + self._drift * self._age
             n_round = (n_left - n_oldest) // n_rounds
-            n_left -= self._read_most(expected2, n_round, chosen, read)
+            n_left -= self._read_most(expected2, n_round, is_chosen, read)
 
         # Those that were read longest ago.
         ages = self._age * np.where(self._untouched, UNTOUCHED_HASTE, 1.0)
         while n_left >= N_DETAILS:
-            n_read = self._read_most(ages, n_left, chosen, read)
+            n_read = self._read_most(ages, n_left, is_chosen, read)
             n_left -= n_read
             self._owed = max(0.0, self._owed - n_read)
 
         # One or two rows of other nodes, up to m.
-        phi.choose(chosen)
+        phi.choose(is_chosen)
         details = phi.rows[phi.rows >= tree.n_tiles]
-        is_of_chosen = chosen[tree.node_of_row[details]]
+        is_of_chosen = is_chosen[tree.node_of_row[details]]
         self._take(details[~is_of_chosen], read)
         rows.update()
 

@@ -173,7 +173,7 @@ class Quadtree:
     def decoded(self, code: npt.NDArray[np.uint8]) -> Mask:
         """Return the nodes that `coded` stated, bool (n_nodes,); ValueError if it stated none."""
         bits = np.unpackbits(code).astype(np.bool_)
-        chosen = np.zeros(self.n_nodes, dtype=np.bool_)
+        is_chosen = np.zeros(self.n_nodes, dtype=np.bool_)
         marked = np.zeros(self.n_nodes, dtype=np.bool_)
         n_taken = 0
 
@@ -188,14 +188,14 @@ class Quadtree:
             marked[visited] = take(visited)
             inside = visited[marked[visited]]
             if level is self.levels[-1]:
-                chosen[inside] = True
+                is_chosen[inside] = True
             else:
-                chosen[inside] = take(inside)
+                is_chosen[inside] = take(inside)
 
         # Every choice has one code: spare bits and needless marks are faults.
-        if not np.array_equal(self.coded(chosen), code):
+        if not np.array_equal(self.coded(is_chosen), code):
             raise ValueError("not as it is coded")
-        return chosen
+        return is_chosen
 
     def most_code_bytes(self, n_rows: int) -> int:
         """Bytes that `coded` takes at most where nodes have three details, `n_rows` in all."""

@@ -52,9 +52,9 @@ def quantity(text: object, units: dict[str, float], example: str, low: float, hi
 
     value = float(number) * units[unit]
     if not (math.isfinite(value) and low <= value <= high):
-        least = f"{low / units[unit]:.6g} {unit}".strip()
+        lowest = f"{low / units[unit]:.6g} {unit}".strip()
         largest = f"{high / units[unit]:.6g} {unit}".strip()
-        raise SettingsError(f"{shown(text)}: is outside {least} .. {largest}")
+        raise SettingsError(f"{shown(text)}: is outside {lowest} .. {largest}")
     return value
 
 

@@ -190,8 +190,8 @@ def _lattice_of_part(places: Doubles, normals: Doubles, edges: Edges) -> Doubles
 
     plane = flattened(places, normals, edges)
     # Where a band was cut open, its ends are neighbours no more.
-    apart = np.linalg.norm(plane[edges.b] - plane[edges.a], axis=1)
-    edges = edges.only(apart < 2 * edges.length)
+    distances = np.linalg.norm(plane[edges.b] - plane[edges.a], axis=1)
+    edges = edges.only(distances < 2 * edges.length)
     order, angle = _orientation(plane, edges)
     if not order:
         cells = _squarest(plane) / _cell_size(plane)

@@ -202,8 +202,8 @@ class Stream:
     @cached_property
     def _watch(self) -> FaultWatch:
         """What looks at each frame, as in a graph."""
-        noise = Noise(self._skin.f_max, self._noise_sd, self._noise_model)
-        return FaultWatch(noise, self._skin.exists)
+        noise = Noise(self._skin.f_max, self._noise_sd)
+        return FaultWatch(noise, self._skin.shape)
 
     def compress(self, frame: Floats) -> Floats:
         """Measure the next frame.

@@ -45,6 +45,8 @@ QUICK_FRAMES = 60
 UNTOUCHED = 1000
 QUICK_UNTOUCHED = 50
 FRAME_NS = 1_000_000
+MEDIAN_OF_NORMAL = 0.6745
+"""Median of the absolute value of normal numbers, in standard deviations. Derived."""
 BAND = 1.645
 """Half width of the band that holds 90 % of normal errors, in their deviations. Derived."""
 TRUE = Limits(low=1.0, high=0.5)
@@ -74,9 +76,9 @@ def rows(out: Path, executor: str, frames: Sequence[Frames], seeds: Sequence[int
         {"frames": of, "ratio": ratio, "seed": seed}
         for of, ratio, seed in product(map(stated, frames), (1, *CONTACT_RATIOS), seeds)
     ]
-    found = compute(followed, points, out, executor, "contacts")
+    results = compute(followed, points, out, executor, "contacts")
     keys = [{**p["frames"], "ratio": p["ratio"], "seed": p["seed"]} for p in points]
-    return method_rows(keys, found)
+    return method_rows(keys, results)
 
 
 def followed(point: Mapping[str, Any]) -> dict[str, Any]:
@@ -84,8 +86,8 @@ def followed(point: Mapping[str, Any]) -> dict[str, Any]:
     take = opened(point)
     ratio = point["ratio"]
     name = RAW if ratio == 1 else DEFAULT
-    made = Candidate(of="reading") if ratio == 1 else Candidate(PRESETS["skin"])
-    estimator = made.make(Measurement(ratio, ROTATING), take, point["seed"])
+    candidate = Candidate(of="reading") if ratio == 1 else Candidate(PRESETS["skin"])
+    estimator = candidate.make(Measurement(ratio, ROTATING), take, point["seed"])
     scores = ContactScores(take)
     for part in take.parts():
         scores.follow(estimator, list(part))
@@ -131,117 +133,136 @@ class ContactScores:
             stamp_ns = (k + 1) * FRAME_NS
             common = solved.common_error
             tracked = tracker.update(solved.forces, solved.error, stamp_ns, common=common)
-            found = joined([tracked])
-            known = joined([true.update(truth, None, stamp_ns)])
+            contacts = joined([tracked])
+            true_contacts = joined([true.update(truth, None, stamp_ns)])
             if k < n_early:
-                part.seen |= set(known["id"].tolist())
+                part.seen |= set(true_contacts["id"].tolist())
                 continue
             self.n_frames += 1
-            regions, of_truth = (one.regions.reshape(shape) for one in (tracker, true))
+            regions, of_truth = (
+                tracker_of.regions.reshape(shape) for tracker_of in (tracker, true)
+            )
             near = ndimage.binary_dilation(truth > 0, NEIGHBOURS)
             touching = np.unique(regions[near])
-            self.n_ghosts += found["id"].size - int(np.count_nonzero(touching))
-            self._compare(truth, known, of_truth, found, regions, part, k)
+            self.n_ghosts += contacts["id"].size - int(np.count_nonzero(touching))
+            self._compare(truth, true_contacts, of_truth, contacts, regions, part, k)
 
     def _compare(
         self,
         truth: Floats,
-        known: dict[str, Any],
+        true_contacts: dict[str, Any],
         of_truth: np.ndarray[Any, Any],
-        found: dict[str, Any],
+        contacts: dict[str, Any],
         regions: np.ndarray[Any, Any],
         part: _Part,
         k: int,
     ) -> None:
         """Compare the contacts of a frame with the true ones."""
         at: dict[int, int] = {}
-        ids = known["id"].tolist()
-        for row, one in enumerate(ids):
+        ids = true_contacts["id"].tolist()
+        for row, contact_id in enumerate(ids):
             region = of_truth == row + 1
-            total = float(known["total"][row]) / self._take.f_max
-            if one not in part.seen:
-                part.seen.add(one)
-                part.begins[one] = k
-            part.largest[one] = max(total, part.largest.get(one, 0.0))
-            counts = np.bincount(regions[region], minlength=found["id"].size + 1)[1:]
+            total = float(true_contacts["total"][row]) / self._take.f_max
+            if contact_id not in part.seen:
+                part.seen.add(contact_id)
+                part.begins[contact_id] = k
+            part.largest[contact_id] = max(total, part.largest.get(contact_id, 0.0))
+            counts = np.bincount(regions[region], minlength=contacts["id"].size + 1)[1:]
             hit = counts.any()
             force = int(np.digitize(total, FORCES))
             self.n_true[force] += 1
             self.n_missed[force] += not hit
             if hit:
-                at[one] = int(counts.argmax())
-                self._found(truth, region, found, at[one], total)
-                if one in part.begins:
-                    self.delays.append(k - part.begins.pop(one))
-        for one in [one for one in part.begins if one not in ids]:
-            self.n_never += part.largest[one] >= LEAST
-            del part.begins[one]
-        numbers = found["id"].tolist()
+                at[contact_id] = int(counts.argmax())
+                self._found(truth, region, contacts, at[contact_id], total)
+                if contact_id in part.begins:
+                    self.delays.append(k - part.begins.pop(contact_id))
+        for contact_id in [contact_id for contact_id in part.begins if contact_id not in ids]:
+            self.n_never += part.largest[contact_id] >= LEAST
+            del part.begins[contact_id]
+        numbers = contacts["id"].tolist()
         shared = Counter(at.values())
-        for one, row in at.items():
+        for contact_id, row in at.items():
             if shared[row] == 1:
-                self._follow_id(one, numbers[row], part, ids)
+                self._follow_id(contact_id, numbers[row], part, ids)
 
     def _found(
-        self, truth: Floats, region: Mask, found: dict[str, Any], row: int, total: float
+        self, truth: Floats, region: Mask, contacts: dict[str, Any], row: int, total: float
     ) -> None:
         if total < LEAST:
             return
         forces = np.where(region, truth, np.float32(0)).astype(np.float64)
         places = np.indices(truth.shape)
         centre = np.array([(axis * forces).sum() for axis in places]) / forces.sum()
-        self.off.append(float(np.linalg.norm(found["centre"][row] - centre)))
-        self.relative.append(abs(float(found["total"][row]) / forces.sum() - 1))
-        errors = found["total"][row] - forces.sum(), *(found["centre"][row] - centre)
-        sds = found["total_sd"][row], *found["centre_sd"][row]
+        self.off.append(float(np.linalg.norm(contacts["centre"][row] - centre)))
+        self.relative.append(abs(float(contacts["total"][row]) / forces.sum() - 1))
+        errors = contacts["total"][row] - forces.sum(), *(contacts["centre"][row] - centre)
+        sds = contacts["total_sd"][row], *contacts["centre_sd"][row]
         for k, (error, sd) in enumerate(zip(errors, sds, strict=True)):
             if sd > 0:  # 0: the noise is not known, or the contact is one taxel
                 self.in_sd[min(k, 1)].append(float(error / sd))
 
-    def _follow_id(self, one: int, number: int, part: _Part, ids: Sequence[int]) -> None:
+    def _follow_id(self, contact_id: int, number: int, part: _Part, ids: Sequence[int]) -> None:
         """Compare the id found at a true contact with the one before."""
         self.n_followed += 1
-        owner = next((i for i, last in part.last.items() if last == number), one)
-        if part.last.get(one, number) != number:
-            if owner != one and owner not in ids:
+        owners = (true_id for true_id, followed in part.number_of_id.items() if followed == number)
+        owner = next(owners, contact_id)
+        if part.number_of_id.get(contact_id, number) != number:
+            if owner != contact_id and owner not in ids:
                 return  # that one met this one, and they are one
-            self.n_swapped += owner != one
-            self.n_lost += owner == one
-        if owner == one or one in part.last:
-            part.last[one] = number
+            self.n_swapped += owner != contact_id
+            self.n_lost += owner == contact_id
+        if owner == contact_id or contact_id in part.number_of_id:
+            part.number_of_id[contact_id] = number
 
     def figures(self) -> dict[str, Any]:
         """Counts by force; delays in frames; ghosts in 1000 frames; medians of the errors in
         taxels, mm and %, and in stated deviations (1: as stated); ids lost and swapped in 1000
         frames of a contact; bytes a frame.
         """
-        off = _median(self.off)
-        pitch_mm = self._take.pitch_mm
-        force = _median(self.relative)
-        in_sd = [_median(np.abs(z)) for z in self.in_sd]
+        total_errors, centre_errors = self.in_sd
         n_begins = len(self.delays) + self.n_never
         n_true = int(self.n_true.sum())
-        part = 1000 / max(1, self.n_followed)
+        n_found = n_true - self.n_missed.sum()
+        # Ids are counted where a true contact is there to be followed.
+        n_followed = max(1, self.n_followed) if n_true else 0
+        off = _median(self.off)
+        pitch_mm = self._take.pitch_mm or None
         return {
             "refused": "",
             "n_true": self.n_true.tolist(),
             "n_missed": self.n_missed.tolist(),
-            "found": 100 * (1 - self.n_missed.sum() / n_true) if n_true else None,
+            "found": _scaled(100, n_found, n_true),
             "delay": _median(self.delays),
-            "delay_95": float(np.percentile(self.delays, 95)) if self.delays else None,
-            "begun": 100 * len(self.delays) / n_begins if n_begins else None,
+            "delay_95": _percentile(self.delays, 95),
+            "begun": _scaled(100, len(self.delays), n_begins),
             "ghosts": 1000 * self.n_ghosts / max(1, self.n_frames),
             "off": off,
-            "off_mm": off * pitch_mm if off is not None and pitch_mm else None,
-            "force": None if force is None else 100 * force,
-            "total_sds": None if in_sd[0] is None else in_sd[0] / 0.6745,
-            "centre_sds": None if in_sd[1] is None else in_sd[1] / 0.6745,
-            "total_held": _share_within(self.in_sd[0]),
-            "centre_held": _share_within(self.in_sd[1]),
-            "lost": part * self.n_lost if n_true else None,
-            "swapped": part * self.n_swapped if n_true else None,
+            "off_mm": _product(off, pitch_mm),
+            "force": _product(_median(self.relative), 100),
+            "total_sds": _product(_median(np.abs(total_errors)), 1 / MEDIAN_OF_NORMAL),
+            "centre_sds": _product(_median(np.abs(centre_errors)), 1 / MEDIAN_OF_NORMAL),
+            "total_held": _share_within(total_errors),
+            "centre_held": _share_within(centre_errors),
+            "lost": _scaled(1000, self.n_lost, n_followed),
+            "swapped": _scaled(1000, self.n_swapped, n_followed),
             "n_bytes": self.n_bytes,
         }
+
+
+def _scaled(scale: float, count: float, of: int) -> float | None:
+    """A count as so many in `scale`; None where there is nothing to count."""
+    return scale * count / of if of else None
+
+
+def _product(value: float | None, factor: float | None) -> float | None:
+    if value is None or factor is None:
+        return None
+    return value * factor
+
+
+def _percentile(values: Sequence[float], percent: float) -> float | None:
+    return float(np.percentile(values, percent)) if values else None
 
 
 def _share_within(errors: Sequence[float]) -> float | None:
@@ -262,4 +283,4 @@ class _Part:
     seen: set[int] = field(default_factory=set)
     begins: dict[int, int] = field(default_factory=dict)
     largest: dict[int, float] = field(default_factory=dict)
-    last: dict[int, int] = field(default_factory=dict)
+    number_of_id: dict[int, int] = field(default_factory=dict)

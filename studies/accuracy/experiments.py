@@ -147,19 +147,23 @@ class Runs:
         ratios: Sequence[int] = RATIOS,
     ) -> pd.DataFrame:
         """Rows of `CANDIDATES` at some ratios, and of the readings of all taxels at ratio 1."""
-        known = CANDIDATES | READINGS | {kind: Candidate(of=kind) for kind in CODECS}
+        all_candidates = CANDIDATES | READINGS | {kind: Candidate(of=kind) for kind in CODECS}
         parts = (label, names, ratios), (f"{label}, all taxels", readings, (1,))
         return pd.concat(
             self._run(
-                title, frames, [Measurement(n) for n in at], {k: known[k] for k in of}, scores
+                title,
+                frames,
+                [Measurement(n) for n in at],
+                {k: all_candidates[k] for k in of},
+                scores,
             )
             for title, of, at in parts
         )
 
     def _run(self, *parts: Any) -> pd.DataFrame:
         """Rows of an experiment of these parts."""
-        made: Callable[..., Experiment] = partial(Experiment, seeds=self._seeds)
-        return made(*parts).run(self._out, self._executor)
+        make_experiment: Callable[..., Experiment] = partial(Experiment, seeds=self._seeds)
+        return make_experiment(*parts).run(self._out, self._executor)
 
     def scenes(self) -> pd.DataFrame:
         """The six scenes of the paper, at their own frame rates."""
@@ -248,23 +252,23 @@ def rated_frames(quick: bool, rates_hz: Sequence[int] = RATES_HZ) -> Iterator[Sc
     span_s = QUICK_SPAN_S if quick else SPAN_S
     for scene in RATED_SCENES:
         step_s = 1e-9 * scene_of(scene).dt_ns
-        first = -round(BEFORE_S / step_s)
+        begin = -round(BEFORE_S / step_s)
         for rate_hz in rates_hz:
             every = max(1, round(1 / (rate_hz * step_s)))
-            yield SceneFrames(scene, first, first + round(span_s / step_s), every)
+            yield SceneFrames(scene, begin, begin + round(span_s / step_s), every)
 
 
 def readable(files: Sequence[Path], n_most: int) -> list[Path]:
     """The recordings that can be used; of each other one a line on stderr. StudyError if there is
     none.
     """
-    found: list[Path] = []
+    usable: list[Path] = []
     for path in files:
         try:
             part_of(str(path), n_most)
-            found.append(path)
+            usable.append(path)
         except SparseskinError as error:
             print(f"accuracy: skipped: {error}", file=sys.stderr)
-    if not found:
+    if not usable:
         raise StudyError(f"--recordings {files[0].parent}: none of {len(files)} files can be used")
-    return found
+    return usable

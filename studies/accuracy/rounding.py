@@ -32,24 +32,26 @@ def amplified(point: Mapping[str, Any]) -> dict[str, Any]:
     if take.n < point["N /"]:
         return {"methods": {}}
     settings: dict[str, dict[str, str]] = {"as it is": {}, CHANGED: {}, READABLE: {"fast": "off"}}
-    made: dict[str, Any] = {
-        name: Candidate({**PRESETS["skin"], **more}).make(of_rows, take, point["seed"])
-        for name, more in settings.items()
+    methods: dict[str, Any] = {
+        name: Candidate({**PRESETS["skin"], **changed_settings}).make(of_rows, take, point["seed"])
+        for name, changed_settings in settings.items()
     }
     rng = np.random.default_rng(point["seed"])
     largest = 0.0
     changes = dict.fromkeys(settings, 0.0)
     for part in take.parts():
-        for method in made.values():
+        for method in methods.values():
             method.reset()
         for _, taxels in part:
-            y = made["as it is"].measure(taxels)
+            y = methods["as it is"].measure(taxels)
             change = CHANGE * np.abs(y).max() * rng.choice([-1.0, 1.0], y.size)
-            of = dict.fromkeys(made, y) | {CHANGED: (y + change).astype(np.float32)}
-            forces = {name: method.solve(of[name]).forces for name, method in made.items()}
+            of = dict.fromkeys(methods, y) | {CHANGED: (y + change).astype(np.float32)}
+            forces = {name: method.solve(of[name]).forces for name, method in methods.items()}
             largest = max(largest, float(forces["as it is"].max()))
-            for name, found in forces.items():
-                changes[name] = max(changes[name], float(np.abs(found - forces["as it is"]).max()))
+            for name, of_method in forces.items():
+                changes[name] = max(
+                    changes[name], float(np.abs(of_method - forces["as it is"]).max())
+                )
     largest = max(largest, TINY)
     return {"methods": {name: {"change": changes[name] / largest} for name in (CHANGED, READABLE)}}
 
@@ -59,17 +61,18 @@ def section(page: Page, executor: str, frames: Sequence[Frames], seed: int) -> s
     kinds = product(map(stated, frames), (3, 8), (ROTATING, FIXED))
     points = [{"frames": of, "N /": ratio, "rows": rows, "seed": seed} for of, ratio, rows in kinds]
     points = [point for point in points if point["frames"]["kind"] != UntouchedFrames.__name__]
-    found = compute(amplified, points, page.out, executor, "rounding")
-    named = {"RecordedFrames": "recordings", "SceneFrames": "scenes"}
-    keys = [{**p, "frames": named.get(p["frames"]["kind"], "presses")} for p in points]
-    every = method_rows(keys, found, "by")
+    results = compute(amplified, points, page.out, executor, "rounding")
+    kind_names = {"RecordedFrames": "recordings", "SceneFrames": "scenes"}
+    keys = [{**p, "frames": kind_names.get(p["frames"]["kind"], "presses")} for p in points]
+    every = method_rows(keys, results, "by")
     page.csv("rounding", every)
     by = every.groupby(["frames", "N /", "rows", "by"], sort=False)["change"]
-    shown = by.agg(lambda some: f"{some.median():.0e}, {some.max():.0e}").unstack("by")
-    page.section("Rounding", shown.reset_index(), change=CHANGE)
+    table = by.agg(lambda of_kind: f"{of_kind.median():.0e}, {of_kind.max():.0e}").unstack("by")
+    page.section("Rounding", table.reset_index(), change=CHANGE)
     parts = [
-        f"{name}: {np.count_nonzero(some < WITHIN)} of {len(some)} streams change by less than "
-        f"{WITHIN:g} of the largest force, at most {some.max():.0e}, median {some.median():.0e}"
-        for name, some in every.groupby("by", sort=False)["change"]
+        f"{name}: {np.count_nonzero(of_kind < WITHIN)} of {len(of_kind)} streams change by less "
+        f"than {WITHIN:g} of the largest force, at most {of_kind.max():.0e}, "
+        f"median {of_kind.median():.0e}"
+        for name, of_kind in every.groupby("by", sort=False)["change"]
     ]
     return f"Rounding: {'; '.join(parts)}."

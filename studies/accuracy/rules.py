@@ -16,14 +16,12 @@ import numpy as np
 import pandas as pd
 
 from sparseskin.nodes.compressor.phi.rotation import ROTATING
-from sparseskin.nodes.numerics.arrays import Doubles
-from sparseskin.nodes.reconstructor.faults.stuck import Range
 from sparseskin.nodes.reconstructor.settings import PRESETS
 from sparseskin.nodes.reconstructor.skin.tuning import SkinTuning
 from sparseskin.studies.harness import Candidate
 from sparseskin.studies.points import compute_rows
 from sparseskin.studies.stability.tables import FAR_FROM_READING, RESIDUE
-from sparseskin.studies.stability.verdicts import GOOD, through_arrays, verdict_on
+from sparseskin.studies.stability.verdicts import GOOD, judge
 from sparseskin.studies.stability.worlds import SIDES, draw_world
 
 from .constants import UNCHANGED, changes, figures
@@ -32,6 +30,7 @@ OFF = 1e30
 """Value of a constant that is beyond all others."""
 SKIN = "sparseskin.nodes.reconstructor.skin"
 FAULTS = "sparseskin.nodes.reconstructor.faults"
+SENSOR = "sparseskin.nodes.sensor"
 
 
 def _always(value: Any) -> Any:
@@ -65,12 +64,6 @@ def _constant(does: str, **tuning: float) -> Rule:
 def _patched(does: str, *patches: tuple[str, str, Any]) -> Rule:
     """A rule that other values of attributes switch off."""
     return Rule(does, patches={(module, name): value for module, name, value in patches})
-
-
-def _most_likely_taxel(odds: Doubles) -> Range:
-    """The taxel that is stuck most likely, by itself."""
-    taxel = int(odds.argmax())
-    return Range(float(odds[taxel]) - math.log(len(odds)), taxel, taxel + 1)
 
 
 RULES: dict[str, Rule] = {
@@ -154,6 +147,21 @@ RULES: dict[str, Rule] = {
         "frames that repeat or are 0 beside others show nothing new",
         (f"{SKIN}.row_subset", "_nothing_of", lambda value, scale: 0.0),
     ),
+    "errors of rows left out": _patched(
+        "errors are estimated by rows that are left out of their own values",
+        (f"{SKIN}.trust", "Fit.distance2", property(lambda fit: fit.settled.residual2)),
+    ),
+    "mean of the error's share": _constant(
+        "the part of errors in the residual is averaged over frames", share_rate=1
+    ),
+    "errors of repeats": _patched(
+        "repeats lower errors at most as other measurements would",
+        (f"{SKIN}.trust", "StatedError._n_repeats", _always(0.0)),
+    ),
+    "missing noise": _patched(
+        "the noise that the residual lacks is an error of the estimate",
+        (f"{SKIN}.trust", "TaxelNoise.missing", _always(0.0)),
+    ),
     "constant and clipped frames": _patched(
         "frames whose measurements share a value are marked",
         (f"{FAULTS}.repeats", "least_ties", lambda m, is_quantised: m + 1),
@@ -165,44 +173,18 @@ RULES: dict[str, Rule] = {
         "a measurement that repeats alone does not count",
         (f"{FAULTS}.repeats", "RepeatWatch.faulty", _always(None)),
     ),
-    "quiet frames": _patched(
-        "frames that lack the stated noise are marked", (f"{FAULTS}.noise", "QUIET", 0.0)
-    ),
     "offset": _patched(
         "an offset of all measurements is subtracted", (f"{FAULTS}.offset", "SIGNIFICANT", math.inf)
     ),
     "stuck taxels": _patched(
-        "pressed taxels without noise are found", (f"{FAULTS}.watch", "PRESSED", math.inf)
+        "the sensor finds taxels that repeat their readings",
+        (f"{SENSOR}.repeats", "Repeats.reason", lambda self, forces: ""),
     ),
-    "ranges of stuck taxels": _patched(
-        "stuck taxels in a range of forces add their evidence",
-        (f"{FAULTS}.stuck", "most_likely_range", _most_likely_taxel),
-    ),
-    "members of the range": _patched(
-        "taxels that work, of forces in that range, are not left out",
-        (f"{FAULTS}.stuck", "probability_of", np.ones_like),
-    ),
-    "new changes": _patched(
-        "changes that repeat show no noise",
-        (f"{FAULTS}.stuck", "NewChanges.look", lambda self, subset, change: change),
-    ),
-    "noise of pressed taxels": _patched(
-        "it is measured where the skin does not state it",
-        (f"{FAULTS}.noise", "PressedNoise.look", lambda self, pressed, excess: None),
-    ),
-    "noise before stuck taxels": _patched(
-        "stuck taxels are searched while measurements have the stated noise",
-        (f"{FAULTS}.noise", "NoiseWatch.is_present", _always(True)),
-    ),
-    "blind taxels": _patched(
-        "stuck taxels without a working one beside them are marked",
-        (f"{FAULTS}.stuck", "StuckTaxels.is_blind", lambda self, exists: False),
+    "neighbours of stuck taxels": _patched(
+        "those beside them fill them in",
+        (f"{SENSOR}.repeats", "Repeats.filled", lambda self, forces: forces),
     ),
     "range": _patched("forces beyond the range are marked", (f"{FAULTS}.watch", "BEYOND", OFF)),
-    "many doubted measurements": _patched(
-        "frames of which many measurements are doubted are marked",
-        (f"{FAULTS}.watch", "SWAMPED", 2.0),
-    ),
 }
 """Rules by name."""
 OWN_FAULTS = {
@@ -218,16 +200,10 @@ OWN_FAULTS = {
     "constant and clipped frames": "all equal",
     "frozen frames": "frozen measurements",
     "repeating measurements": "stuck measurements",
-    "quiet frames": "scaled down",
     "offset": "offset",
     "stuck taxels": "stuck taxels",
-    "ranges of stuck taxels": "stuck blob",
-    "members of the range": "stuck rows or columns",
-    "noise of pressed taxels": "stuck rows or columns",
-    "noise before stuck taxels": "scaled down",
-    "blind taxels": "stuck blob",
+    "neighbours of stuck taxels": "stuck rows or columns",
     "range": "scaled up",
-    "many doubted measurements": "out of order",
 }
 """Kind of fault that a rule is for, of which it has worlds of its own."""
 
@@ -262,6 +238,7 @@ COLUMNS = {
     "wrong, %": Column("+z.2f", 0.2),
     "silent, %": Column("+z.2f", 0.1),
     "false alarms, %": Column("+z.2f", 0.2),
+    "estimates close, %": Column("+z.2f", -1.0),
     "far, worlds": Column("+.0f", 1.0),
     "force stays, worlds": Column("+.0f", 1.0),
     "wrong with faults, %": Column("+z.2f", 0.3),
@@ -278,16 +255,18 @@ NOTHING = "nothing"
 
 @contextmanager
 def switched_off(rule: Rule) -> Iterator[SkinTuning]:
-    """Switch a rule off; yield the constants of the solver without it."""
+    """Switch a rule off; yield the constants of the solver without it, which solvers use."""
+    tuning = SkinTuning(**rule.tuning)  # type: ignore[arg-type]
+    patches = {(f"{SKIN}.solver", "SkinTuning"): lambda: tuning, **rule.patches}
     with _PATCHING, ExitStack() as stack:
-        for (module, name), value in rule.patches.items():
+        for (module, name), value in patches.items():
             target: Any = importlib.import_module(module)
             *owners, attribute = name.split(".")
             for owner in owners:
                 target = getattr(target, owner)
             # Attributes of instances are none of their class.
             stack.enter_context(patch.object(target, attribute, value, create=bool(owners)))
-        yield SkinTuning(**rule.tuning)  # type: ignore[arg-type]
+        yield tuning
 
 
 def candidates() -> dict[str, Candidate]:
@@ -325,8 +304,8 @@ def measure(point: dict[str, Any]) -> dict[str, Any]:
     sides = SIDES if fault else WORLD_SIDES
     world = draw_world(point["seed"], point["has_fault"], fault=fault, sides=sides)
     rule = RULES.get(point["rule"], Rule("all rules"))
-    with switched_off(rule) as tuning, np.errstate(all="ignore"):
-        verdict = verdict_on(world, through_arrays(world, "auto", tuning))
+    with switched_off(rule), np.errstate(all="ignore"):
+        verdict = judge(world)
     is_still = world.load.motion == "still" and world.rows == ROTATING
     return {**vars(verdict), "is_still": is_still, "fault": fault}
 
@@ -349,6 +328,8 @@ def figures_of_worlds(rows: pd.DataFrame) -> pd.DataFrame:
         columns.append(_shares(rows[rows["has_fault"] == has_fault], ending))
 
     sound = rows[~rows["has_fault"]]
+    sums = sound.groupby("rule")[["close", "estimated"]].sum()
+    columns.append((100 * sums["close"] / sums["estimated"]).rename("estimates close, %"))
     is_far = sound["is_still"] & (sound["reading"] < GOOD)
     # An estimate that is no number is far, too.
     is_far &= ~(sound["error"] <= FAR_FROM_READING * sound["reading"])

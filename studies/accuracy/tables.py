@@ -98,11 +98,11 @@ def by_ratio(rows: pd.DataFrame, keys: Sequence[str], text: str) -> pd.DataFrame
     `text`: cell of one ratio, as "{mean_db:.1f}"; methods that have no figure are left out.
     """
     figures = [name for name in rows.columns if f"{{{name}:" in text]
-    known = rows[rows[figures].notna().all(axis=1)].astype(dict.fromkeys(figures, float))
-    means = known.groupby([*keys, "method", "ratio"], sort=False)[figures].mean().reset_index()
+    complete = rows[rows[figures].notna().all(axis=1)].astype(dict.fromkeys(figures, float))
+    means = complete.groupby([*keys, "method", "ratio"], sort=False)[figures].mean().reset_index()
     means = means.assign(cell=cells(means, text)).sort_values("ratio", kind="stable")
     joined = means.groupby([*keys, "method"], sort=False)["cell"].agg(" / ".join).unstack("method")
-    lines = known[list(keys)].drop_duplicates()
+    lines = complete[list(keys)].drop_duplicates()
     order = [name for name in METHODS if name in joined]
     return lines.join(joined[order], on=list(keys)).fillna("-")
 
@@ -136,8 +136,8 @@ def scenes(page: Page, runs: Runs) -> str:
         by_ratio(rows, ["scene"], "{touched_mn:.1f}"),
         *marks(rows, ["scene"]),
     )
-    some = ours[(ours["method"] == DEFAULT) & (ours["ratio"] == RATIOS[0])]
-    means = some.groupby("taxels", sort=False)["gain"].mean()
+    of_default = ours[(ours["method"] == DEFAULT) & (ours["ratio"] == RATIOS[0])]
+    means = of_default.groupby("taxels", sort=False)["gain"].mean()
     gains = ", ".join(f"{gain:+.1f} dB ({taxels})" for taxels, gain in means.items())
     return f"Gain of {DEFAULT} over preset paper at N/{RATIOS[0]}, simulated scenes: {gains}."
 
@@ -158,12 +158,13 @@ def rates(page: Page, runs: Runs) -> str:
         by_ratio(rows, keys, "{mean_db:.1f} / {min_db:.1f}"),
     )
     means = rows.groupby(["method", "spacing_ms"])["mean_db"].mean()
-    found = []
-    for other in (PAPER, FILTERED):
-        gain = means[DEFAULT] - means[other]
+    gain_texts = []
+    for method in (PAPER, FILTERED):
+        gain = means[DEFAULT] - means[method]
         ends = (rows["spacing_ms"].min(), rows["spacing_ms"].max())
-        found.append(", ".join(f"{gain[ms]:+.1f} dB at {1000 / ms:.0f} Hz" for ms in ends))
-    return f"{DEFAULT} at N/3 against preset paper: {found[0]}; against a filter: {found[1]}."
+        gain_texts.append(", ".join(f"{gain[ms]:+.1f} dB at {1000 / ms:.0f} Hz" for ms in ends))
+    over_paper, over_filter = gain_texts
+    return f"{DEFAULT} at N/3 against preset paper: {over_paper}; against a filter: {over_filter}."
 
 
 def moving(page: Page, runs: Runs) -> str:
@@ -184,9 +185,11 @@ def moving(page: Page, runs: Runs) -> str:
         touched=100 * TOUCHED,
         speed=SPEED,
     )
-    some = rows[rows["ratio"].isin([1, RATIOS[0]])].groupby(["course", "method"])["mean_db"].mean()
+    mean_of = (
+        rows[rows["ratio"].isin([1, RATIOS[0]])].groupby(["course", "method"])["mean_db"].mean()
+    )
     courses = [
-        f"{of}: " + ", ".join(f"{name} {some[of, name]:.1f}" for name in (DEFAULT, PAPER, RAW))
+        f"{of}: " + ", ".join(f"{name} {mean_of[of, name]:.1f}" for name in (DEFAULT, PAPER, RAW))
         for of in rows["course"].unique()
     ]
     return f"Bodies at N/{RATIOS[0]}, mean PSNR in dB: {'; '.join(courses)}."
@@ -222,11 +225,11 @@ def single(page: Page, runs: Runs) -> str:
     times = best.groupby("method", sort=False)["mean_ms"].median()
     ours = best[best["method"] == SKIN].set_index(["of", "ratio"])["median"]
     parts = []
-    for method, some in best[best["method"] != SKIN].groupby("method", sort=False):
-        others = some.set_index(["of", "ratio"])["median"]
-        ahead = int((ours <= others).sum())
+    for method, of_method in best[best["method"] != SKIN].groupby("method", sort=False):
+        medians = of_method.set_index(["of", "ratio"])["median"]
+        ahead = int((ours <= medians).sum())
         ms = f"{times[method]:.2g} ms"
-        parts.append(f"{method} ({ms}) in {ahead} of {len(others)}")
+        parts.append(f"{method} ({ms}) in {ahead} of {len(medians)}")
     line = f"Frames alone, {SKIN} ({times[SKIN]:.2g} ms) is ahead of {'; '.join(parts)}."
     page.section("Frames alone", joined.reset_index(), n=ALONE_FRAMES)
     return line
@@ -280,8 +283,8 @@ def _source(one: Any) -> str:
     """Name of frames: that of the file or scene, body and course, or kind."""
     if isinstance(one.body, str):
         return f"{one.body} {one.course}{f' x {one.strength:g}' if one.strength < 1 else ''}"
-    named = (Path(name).stem for name in (one.path, one.scene) if isinstance(name, str))
-    return next(named, one.kind.removesuffix("Frames").lower())
+    file_names = (Path(name).stem for name in (one.path, one.scene) if isinstance(name, str))
+    return next(file_names, one.kind.removesuffix("Frames").lower())
 
 
 def varied(page: Page, runs: Runs) -> None:
@@ -345,11 +348,11 @@ def recorded(page: Page, runs: Runs, quick: bool) -> list[str]:
 def geometric(rows: pd.DataFrame) -> list[str]:
     """Return a line a kind of rows of the default solver: geometric mean over the recordings."""
     ours = rows["method"].isin((DEFAULT, SKIN))  # what reads all that matters may have no error
-    known = rows[ours & rows["median"].notna() & (rows["ratio"] > 1)]
-    logs = np.log(known["median"].astype(float))
-    means = np.exp(logs.groupby([known["method"], known["ratio"]]).mean())
+    with_error = rows[ours & rows["median"].notna() & (rows["ratio"] > 1)]
+    logs = np.log(with_error["median"].astype(float))
+    means = np.exp(logs.groupby([with_error["method"], with_error["ratio"]]).mean())
     lines = []
-    for name in [one for one in (DEFAULT, SKIN) if one in means]:
+    for name in [default for default in (DEFAULT, SKIN) if default in means]:
         text = ", ".join(f"{mean:.2f} % at N/{ratio:g}" for ratio, mean in means[name].items())
         lines.append(f"{name}: geometric mean of the median errors {text}.")
     return lines
@@ -357,19 +360,20 @@ def geometric(rows: pd.DataFrame) -> list[str]:
 
 def beaten(rows: pd.DataFrame) -> list[str]:
     """Return a line a ratio: where the best simple method beats the default."""
-    known = rows[(rows["ratio"] > 1) & rows["median"].notna()].astype({"median": float})
+    with_error = rows[(rows["ratio"] > 1) & rows["median"].notna()].astype({"median": float})
     keys = ["recording", "ratio"]
     lines = []
-    means = known.groupby([*keys, "method"], sort=False)["median"].mean().unstack("method")
+    means = with_error.groupby([*keys, "method"], sort=False)["median"].mean().unstack("method")
     best = means[[name for name in SIMPLE if name in means]].min(axis=1)
     quotient = means[DEFAULT].clip(LEAST_ERROR) / best.clip(LEAST_ERROR)
     quotients = quotient.dropna().rename("quotient").reset_index()
-    for ratio, some in quotients.groupby("ratio", sort=True):
-        worse = list(some[some["quotient"] > 1]["recording"])
-        named = f" ({', '.join(worse)})" if worse else ""
+    for ratio, of_ratio in quotients.groupby("ratio", sort=True):
+        worse = list(of_ratio[of_ratio["quotient"] > 1]["recording"])
+        names = f" ({', '.join(worse)})" if worse else ""
         lines.append(
-            f"N/{ratio:g}: the best simple method beats {DEFAULT} on {len(worse)} of {len(some)} "
-            f"recordings{named}; median quotient of the errors {some['quotient'].median():.2f}."
+            f"N/{ratio:g}: the best simple method beats {DEFAULT} on {len(worse)} of "
+            f"{len(of_ratio)} recordings{names}; median quotient of the errors "
+            f"{of_ratio['quotient'].median():.2f}."
         )
     return lines
 
@@ -383,8 +387,8 @@ def smaller(rows: pd.DataFrame) -> str:
     ours = sent[(sent["method"] == DEFAULT) & (sent["ratio"] > 1)]
     is_smaller = ours["recording"].map(codec["n_bytes"]) < ours["n_bytes"]
     counts = ", ".join(
-        f"at N/{ratio:g} on {int(some.sum())} of {len(some)}"
-        for ratio, some in is_smaller.groupby(ours["ratio"], sort=True)
+        f"at N/{ratio:g} on {int(of_ratio.sum())} of {len(of_ratio)}"
+        for ratio, of_ratio in is_smaller.groupby(ours["ratio"], sort=True)
     )
     error = f"error {codec['median'].median():.2g} % in the median"
     packed = f"All taxels in 8 bits, packed by zstd, are fewer bytes than {DEFAULT}"
@@ -408,13 +412,13 @@ def marks(rows: pd.DataFrame, keys: list[str]) -> tuple[Any, ...]:
 def marked(rows: pd.DataFrame) -> list[str]:
     """Return a line a method whose solver estimates its error: wrong and right frames it marks."""
     lines = []
-    for name, some in rows.groupby("method", sort=False):
+    for name, of_method in rows.groupby("method", sort=False):
         parts = []
         bounds = {"wrong": f"above {100 * WRONG:g} %", "right": f"below {100 * RIGHT:g} %"}
         for which, bound in bounds.items():
-            share, n = _share(some[f"flagged_{which}"], some[f"n_{which}"])
+            share, n = _share(of_method[f"flagged_{which}"], of_method[f"n_{which}"])
             parts.append(f"{share:.1f} % of {n:.0f} frames with an error {bound}")
-        share, n = _share(some["flagged_poor"], some["n_flagged"])
+        share, n = _share(of_method["flagged_poor"], of_method["n_flagged"])
         poor = f"{share:.0f} % of {n:.0f} marked ones are above {100 * POOR:g} %"
         lines.append(f"{name} marks {' and '.join(parts)}; {poor}")
     return lines
@@ -429,7 +433,7 @@ def _share(shares: pd.Series, counts: pd.Series) -> tuple[float, float]:
 def facts(rows: pd.DataFrame, n_most: int) -> pd.DataFrame:
     """Facts of the recordings."""
     lines = []
-    for (name, path), some in rows.groupby(["recording", "path"], sort=False):
+    for (name, path), of_part in rows.groupby(["recording", "path"], sort=False):
         part = part_of(str(path), n_most)
         x = part.truth[:, part.mask].astype(np.float64)
         changes = np.linalg.norm(np.diff(x, axis=0), axis=1)
@@ -442,8 +446,8 @@ def facts(rows: pd.DataFrame, n_most: int) -> pd.DataFrame:
                 **{"recording": name, "N": x.shape[1], "unit": part.unit},
                 "grid": "{} x {}".format(*part.mask.shape),
                 "frames": f"{part.first}..{stop - 1} of {part.n_recorded}",
-                "loaded": int(some["n_contact"].max() or 0),
-                "untouched": int(some["n_untouched"].max() or 0),
+                "loaded": int(of_part["n_contact"].max() or 0),
+                "untouched": int(of_part["n_untouched"].max() or 0),
                 "spacing": "-" if part.spacing_ms is None else f"{part.spacing_ms:.3g} ms",
                 "pressed, %": f"{100 * np.mean(x > 0):.0f}",
                 "change, %": f"{100 * change:.1f}",
@@ -454,19 +458,23 @@ def facts(rows: pd.DataFrame, n_most: int) -> pd.DataFrame:
 
 def _draw_contacts(out: Path, rows: pd.DataFrame) -> str:
     caption = "Contacts found, of all true ones in all frames, by bytes a taxel in each frame"
-    known = rows[rows["found"].notna()].astype({"found": float})
-    known["bytes"] = VALUE_BYTES / known["ratio"]
-    known["recorded"] = known["kind"] == "RecordedFrames"
-    means = known.groupby(["recorded", "frames", "bytes", "ratio"])["found"].mean().reset_index()
-    panels = [(of, some) for of, some in means.groupby("recorded")]
+    with_contacts = rows[rows["found"].notna()].astype({"found": float})
+    with_contacts["bytes"] = VALUE_BYTES / with_contacts["ratio"]
+    with_contacts["recorded"] = with_contacts["kind"] == "RecordedFrames"
+    means = (
+        with_contacts.groupby(["recorded", "frames", "bytes", "ratio"])["found"]
+        .mean()
+        .reset_index()
+    )
+    panels = [(of, of_kind) for of, of_kind in means.groupby("recorded")]
     ratios = sorted(means["ratio"].unique())
     names = [f"N/{ratio}" if ratio > 1 else "all" for ratio in ratios]
     ticks = [VALUE_BYTES / ratio for ratio in ratios]
     n = len(panels)
     labels = [f"{name}\n{tick:.3g}" for name, tick in zip(names, ticks, strict=True)]
     with Chart(out, "contacts", caption, n, n, size_in=(9.5, 5.0), sharey=True) as chart:
-        for axes, (recorded, some) in zip(chart.panels, panels, strict=True):
-            draw_lines(axes, some, "bytes", "found", "frames", list(means["frames"].unique()))
+        for axes, (recorded, of_kind) in zip(chart.panels, panels, strict=True):
+            draw_lines(axes, of_kind, "bytes", "found", "frames", list(means["frames"].unique()))
             axes.set_xscale("log")
             axes.set_xticks(ticks, labels)
             axes.set_xticks([], minor=True)
@@ -486,8 +494,10 @@ def _draw_rates(out: Path, rows: pd.DataFrame) -> str:
         out, "gain", caption, n, n, size_in=(9.5, 4.4), legend_columns=3, sharey=True
     ) as chart:
         for axes, scene in zip(chart.panels, RATED_SCENES, strict=True):
-            some = rows[(rows["scene"] == scene) & rows["method"].isin(drawn)]
-            means = some.groupby(["method", "spacing_ms"], sort=False)["gain"].mean().reset_index()
+            of_scene = rows[(rows["scene"] == scene) & rows["method"].isin(drawn)]
+            means = (
+                of_scene.groupby(["method", "spacing_ms"], sort=False)["gain"].mean().reset_index()
+            )
             draw_lines(axes, means, "spacing_ms", "gain", "method", drawn)
             axes.axhline(0, color="black", linewidth=1.2)
             axes.set_xscale("log")

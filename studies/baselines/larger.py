@@ -92,17 +92,17 @@ class LargerTaxels:
 
     def spread(self, sums: Floats) -> Floats:
         """Forces of the small taxels, float32 (n_rows, n_cols), of `sums` of the groups, (m,)."""
-        wanted = np.maximum(sums, 0).astype(np.float64)
+        sums_of_groups = np.maximum(sums, 0).astype(np.float64)
         image = np.zeros(self._mask.shape)
-        image[self._mask] = (wanted / self.sizes)[self.groups]
+        image[self._mask] = (sums_of_groups / self.sizes)[self.groups]
         for _ in range(STEPS):
             smooth = _mean_of_near(image)[self._mask] / self._n_near
-            missing = (wanted - np.bincount(self.groups, smooth)) / self.sizes
+            missing = (sums_of_groups - np.bincount(self.groups, smooth)) / self.sizes
             forces = np.maximum(smooth + missing[self.groups], 0)
 
             # Negative forces were cut off: what is left is scaled.
             totals = np.maximum(np.bincount(self.groups, forces), 1e-30)
-            image[self._mask] = forces * (wanted / totals)[self.groups]
+            image[self._mask] = forces * (sums_of_groups / totals)[self.groups]
         return image.astype(np.float32)
 
 

@@ -134,8 +134,8 @@ def _spgl1(problem: Bpdn) -> Solve:
     from spgl1 import spgl1
 
     m = problem.phi.m
-    both = {"matvec": problem.forward, "rmatvec": problem.adjoint}
-    operator = LinearOperator((m, problem.phi.n), dtype=np.float32, **both)
+    products = {"matvec": problem.forward, "rmatvec": problem.adjoint}
+    operator = LinearOperator((m, problem.phi.n), dtype=np.float32, **products)
     bound_n = problem.sigma_n * math.sqrt(m)
     # It warns of each frame that noise alone explains, whose solution is 0.
     logging.getLogger("spgl1").setLevel(logging.ERROR)

@@ -58,18 +58,18 @@ class Lattice:
     """
 
     def __init__(self, mask: Mask, ratio: int) -> None:
-        most = math.ceil(np.count_nonzero(mask) / ratio)
-        allowed = [one for one in classes(mask, ratio) if 0 < one.size <= most]
+        n_max = math.ceil(np.count_nonzero(mask) / ratio)
+        allowed = [cells for cells in classes(mask, ratio) if 0 < cells.size <= n_max]
         # A mask of few cells may have them all in one class.
         allowed = allowed or [np.flatnonzero(mask)[::ratio]]
-        self._read = max(allowed, key=lambda one: one.size)
+        self._read = max(allowed, key=lambda cells: cells.size)
         self._places = np.argwhere(np.ones_like(mask)).astype(np.float64)
-        known = self._places[self._read]
-        self._nearest = cKDTree(known).query(self._places)[1]
+        read_places = self._places[self._read]
+        self._nearest = cKDTree(read_places).query(self._places)[1]
         self._mask = mask
         self._triangles: Delaunay | None = None
         with suppress(QhullError):  # no area between them: the nearest
-            self._triangles = Delaunay(known)
+            self._triangles = Delaunay(read_places)
         self.n_values = self._read.size
 
     def reconstruct(self, taxels: Floats) -> Solved:
@@ -145,7 +145,7 @@ def classes(mask: Mask, k: int) -> list[Indices]:
     # As the golden ratio: of few successive classes, none are neighbours.
     stride = next(step for step in range(max(1, round(0.382 * k)), k + 1) if math.gcd(step, k) == 1)
     order = [turn * stride % k for turn in range(k)]
-    return [np.flatnonzero(mask & (number == one)) for one in order]
+    return [np.flatnonzero(mask & (number == turn)) for turn in order]
 
 
 @cache

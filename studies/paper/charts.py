@@ -49,14 +49,16 @@ def draw_sequences(out: Path, results: Results, by: str) -> str:
         series = {f"{k} iterations": results.ours(scene, 3, str(k)) for k in ITERATIONS}
     series["noisy"] = results.ours(scene, 1)
     contact = results.contact(scene)
-    first = results.scenes[scene]["first"]
+    begin_of_scene = results.scenes[scene]["first"]
     begin = max(0, int(np.argmax(contact)) - 50)
     begins = {"representative": _longest_contact(contact), "first contact": begin}
     caption = f"PSNR over time, {PAPER[scene].title} 64 x 64, preset paper"
     with Chart(out, f"psnr_by_{by.lower()}", caption, 2, 2, size_in=(9.0, 4.2)) as chart:
         for axes, (title, begin) in zip(chart.panels, begins.items(), strict=True):
             part = slice(begin, min(begin + SHOWN_FRAMES, len(contact)))
-            times_ms = (np.arange(part.start, part.stop) + first) * scene_of(scene).dt_ns * 1e-6
+            times_ms = (
+                (np.arange(part.start, part.stop) + begin_of_scene) * scene_of(scene).dt_ns * 1e-6
+            )
             for k, (label, values) in enumerate(series.items()):
                 k = -1 if label == "noisy" else k
                 style: Style = {"color": PALETTE[k], "linestyle": LINES[k], "marker": MARKERS[k]}

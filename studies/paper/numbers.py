@@ -155,10 +155,10 @@ class Results:
     @property
     def speedups(self) -> tuple[float, float]:
         """Least and largest quotient of the paper's time of a frame and ours."""
-        found = [
+        quotients = [
             PAPER[scene].time_ms[int(method)] / ms for (scene, method), ms in self.times_ms.items()
         ]
-        return min(found), max(found)
+        return min(quotients), max(quotients)
 
 
 def upper_ends(side: int, ratio: int) -> list[float]:
@@ -175,4 +175,4 @@ def deviations_db(highest: Highest) -> list[float]:
         for side in (40, 64)
         for ratio in RATIOS
     ]
-    return [float(one) for one in np.sqrt(np.mean(np.square(off_db), axis=0))]
+    return [float(rms_db) for rms_db in np.sqrt(np.mean(np.square(off_db), axis=0))]

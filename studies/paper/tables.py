@@ -80,7 +80,7 @@ def run(out: Path, quick: bool, seed: int, executor: str) -> list[str]:
     windows = {scene: window(scene, quick) for scene in PAPER}
     points = [{"frames": asdict(frames), "seed": seed} for frames in windows.values()]
     figures = compute(scene_figures, points, out, executor, "scenes")
-    rows = pd.concat(unrefused(one.run(out, executor)) for one in psnr(windows, seed))
+    rows = pd.concat(unrefused(experiment.run(out, executor)) for experiment in psnr(windows, seed))
     timed = unrefused(times(quick, seed).run(out, executor))
     keys = zip(rows["scene"], rows["ratio"], rows["method"], strict=True)
     results = Results(
@@ -90,12 +90,14 @@ def run(out: Path, quick: bool, seed: int, executor: str) -> list[str]:
         times_ms=timed.set_index(["scene", "method"])["mean_ms"].to_dict(),
     )
     lambdas, highest = untouched(out, quick, seed, executor)
-    chosen = results.chosen_frames(MAPPED)
-    frames = sorted(chosen.values())
-    (found,) = compute(frame_maps, [{"frames": frames, "seed": seed}], out, executor, "maps")
+    frame_of_title = results.chosen_frames(MAPPED)
+    frames = sorted(frame_of_title.values())
+    (maps_of_frames,) = compute(
+        frame_maps, [{"frames": frames, "seed": seed}], out, executor, "maps"
+    )
     maps = {
-        title: (frame, *(found[key][frames.index(frame)] for key in ("maps", "psnr_db")))
-        for title, frame in chosen.items()
+        title: (frame, *(maps_of_frames[key][frames.index(frame)] for key in ("maps", "psnr_db")))
+        for title, frame in frame_of_title.items()
     }
     return write(out, results, lambdas, highest, maps)
 
@@ -113,7 +115,7 @@ def candidate(basis: str = "haar", **settings: Any) -> Candidate:
 def psnr(windows: Mapping[str, SceneFrames], seed: int) -> Iterator[Experiment]:
     """PSNR of each frame by M with 30 iterations, and at N/3 by iterations."""
     for side in LEVELS:
-        frames = [one for scene, one in windows.items() if scene_of(scene).shape[0] == side]
+        frames = [window for scene, window in windows.items() if scene_of(scene).shape[0] == side]
         # On sides of a power of two both bases are the same, and the project's own is quick.
         basis = FEW_LEVELS if side == 40 else "haar"
         by_m = {"30": candidate(), FITTED: candidate(basis, lambda_n=FITTED_LAMBDA_N)}
@@ -138,15 +140,17 @@ def untouched(
     """Highest PSNR of a reconstructed untouched skin, by (side, few levels, N / M), for lambdas."""
     lambdas = LAMBDAS_N[::2] if quick else LAMBDAS_N
     measurements = [Measurement(ratio) for ratio in RATIOS]
-    found = {}
+    highest = {}
     for side, few, basis in ((40, False, "haar"), (40, True, FEW_LEVELS), (64, True, "haar")):
         by_lambda = {f"{x:g}": candidate(basis, lambda_n=x) for x in lambdas}
         frames = [UntouchedFrames(side, 60 if quick else 500)]
         label = f"untouched skin, {side}, {'few' if few else 'all'} levels"
-        made = Experiment(label, frames, measurements, by_lambda, ("highest_db",), (seed,))
-        for ratio, some in unrefused(made.run(out, executor)).groupby("ratio", sort=False):
-            found[side, few, int(ratio)] = some["highest_db"].tolist()
-    return lambdas, found
+        experiment = Experiment(label, frames, measurements, by_lambda, ("highest_db",), (seed,))
+        for ratio, of_ratio in unrefused(experiment.run(out, executor)).groupby(
+            "ratio", sort=False
+        ):
+            highest[side, few, int(ratio)] = of_ratio["highest_db"].tolist()
+    return lambdas, highest
 
 
 def scene_figures(point: Row) -> Row:
@@ -165,8 +169,8 @@ def scene_figures(point: Row) -> Row:
             sizes = _coefficients(truth, wavelet, levels)
             per_frame[key].append(int(np.count_nonzero(sizes > ROUNDING_N)))
             per_frame[f"{key}_exact"].append(int(np.count_nonzero(sizes)))
-    first, _ = next(frames.windows(point["seed"]))
-    return {"first": first, **per_frame}
+    begin, _ = next(frames.windows(point["seed"]))
+    return {"first": begin, **per_frame}
 
 
 def _coefficients(image: Any, wavelet: str, levels: int) -> Any:
@@ -184,17 +188,17 @@ def frame_maps(point: Row) -> Row:
     numbers: list[int] = point["frames"]
     every = SceneFrames(MAPPED, None)
     contact, _ = next(SceneFrames(MAPPED, 0).windows(point["seed"]))
-    first = max(0, numbers[0] - BEFORE_MAPS)
-    take = SceneFrames(MAPPED, first - contact, numbers[-1] + 1 - contact).open(point["seed"])
+    begin = max(0, numbers[0] - BEFORE_MAPS)
+    take = SceneFrames(MAPPED, begin - contact, numbers[-1] + 1 - contact).open(point["seed"])
     method = candidate(iterations=20).make(Measurement(3), every.open(0), point["seed"])
     maps = []
     psnr = []
-    for k, (truth, taxels) in enumerate(chain(*take.parts()), first):
+    for k, (truth, taxels) in enumerate(chain(*take.parts()), begin):
         forces = method.reconstruct(taxels).forces
         if k in numbers:
             maps.append([image.round(4).tolist() for image in (truth, taxels, forces)])
             off = [psnr_db(image - truth, take.f_max) for image in (taxels, forces)]
-            psnr.append([round(one, 2) for one in off])
+            psnr.append([round(db, 2) for db in off])
     return {"maps": maps, "psnr_db": psnr}
 
 
@@ -243,8 +247,8 @@ def conclusion(results: Results) -> list[str]:
             f"Mean PSNR of table III, {text}: {np.mean(off):+.1f} dB from the paper in the mean, "
             f"{min(off):+.1f} to {max(off):+.1f} dB, over {len(off)} figures."
         )
-    least, most = results.speedups
-    lines.append(f"A frame takes {least:.0f} to {most:.0f} times less time than in table IV.")
+    slowest, fastest = results.speedups
+    lines.append(f"A frame takes {slowest:.0f} to {fastest:.0f} times less time than in table IV.")
     return lines
 
 
@@ -307,11 +311,11 @@ def table_4(results: Results) -> Iterator[Row]:
     for scene, paper in PAPER.items():
         for k in ITERATIONS:
             ours_ms = results.times_ms[scene, str(k)]
-            named = {
+            times = {
                 **{"iterations": k, "time paper ms": paper.time_ms[k], "ours ms": f"{ours_ms:.2f}"},
                 "times faster": f"{paper.time_ms[k] / ours_ms:.0f}",
             }
-            yield psnr_row(results, scene, paper.by_iterations[k], 3, str(k), **named)
+            yield psnr_row(results, scene, paper.by_iterations[k], 3, str(k), **times)
 
 
 def lambda_rows(lambdas: tuple[float, ...], highest: Highest) -> Iterator[Row]:

@@ -81,11 +81,13 @@ def run(out: Path, quick: bool, seed: int, executor: str) -> list[str]:
 
 def zones(rows: pd.DataFrame) -> pd.DataFrame:
     """Full readings by panel and dead zone: mean_db, min_db, touched_mn, n_bytes."""
-    found = pooled(unrefused(rows), ["method"]).assign(
+    full_readings = pooled(unrefused(rows), ["method"]).assign(
         dead_zone_n=lambda f: f["method"].astype(float)
     )
-    sizes = [n_bytes(int(panel.removeprefix("N = ")), 1.0, "", "") for panel in found["panel"]]
-    return found.assign(n_bytes=sizes)
+    sizes = [
+        n_bytes(int(panel.removeprefix("N = ")), 1.0, "", "") for panel in full_readings["panel"]
+    ]
+    return full_readings.assign(n_bytes=sizes)
 
 
 def raw_and_zoned(read: pd.DataFrame, panel: str) -> tuple[pd.Series, pd.Series]:
@@ -139,8 +141,8 @@ def write(
     )
     of_bases = pooled(of_parts, ["label", "phi", "ratio", "n_bytes"])
     pages.section("Every basis and every Phi", _table(of_bases))
-    both = pd.concat([timed, every, of_parts])
-    refused = cells(both[both["refused"] != ""], "- {method}, {phi}: {refused}")
+    all_rows = pd.concat([timed, every, of_parts])
+    refused = cells(all_rows[all_rows["refused"] != ""], "- {method}, {phi}: {refused}")
     if refused:
         pages.section("Combinations that are refused", "\n".join(dict.fromkeys(refused)))
     for name, frame in (("times", timed), ("solvers", every), ("bases_and_phis", of_parts)):
@@ -171,8 +173,8 @@ def conclusion(by_panel: dict[Any, pd.DataFrame], read: pd.DataFrame) -> list[st
 
 def _table(rows: pd.DataFrame) -> str:
     columns, headings, specs = zip(*_SHOWN, strict=True)
-    shown = rows[list(columns)].set_axis(list(headings), axis="columns")
-    return markdown(shown, dict(zip(headings, specs, strict=True)))
+    columns_shown = rows[list(columns)].set_axis(list(headings), axis="columns")
+    return markdown(columns_shown, dict(zip(headings, specs, strict=True)))
 
 
 def _times(rows: pd.DataFrame) -> str:
@@ -185,11 +187,11 @@ def _times(rows: pd.DataFrame) -> str:
 
 
 def _readings(read: pd.DataFrame) -> str:
-    both = pd.DataFrame(
+    of_panels = pd.DataFrame(
         row for panel in read["panel"].unique() for row in raw_and_zoned(read, panel)
     )
     columns = ["panel", "dead_zone_n", "mean_db", "min_db", "touched_mn", "n_bytes"]
-    return markdown(both[columns], dict.fromkeys(columns[2:5], ".1f"))
+    return markdown(of_panels[columns], dict.fromkeys(columns[2:5], ".1f"))
 
 
 def _draw(out: Path, by_panel: dict[Any, pd.DataFrame], read: pd.DataFrame) -> str:

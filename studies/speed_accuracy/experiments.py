@@ -114,12 +114,12 @@ def variants() -> dict[str, Candidate]:
 
 def frames_of(scenes: Sequence[str], short: bool) -> list[SceneFrames]:
     """Two parts of each scene: from 20 frames before its first contact, and half way on."""
-    found = []
+    scene_frames = []
     for scene in scenes:
         every = max(1, round(PERIOD_S / (scene_of(scene).dt_ns * 1e-9)))
-        after, later = (40, 40) if short else (180, 200)
-        found.append(SceneFrames(scene, -20 * every, after * every, every, later))
-    return found
+        n_after, later = (40, 40) if short else (180, 200)
+        scene_frames.append(SceneFrames(scene, -20 * every, n_after * every, every, later))
+    return scene_frames
 
 
 def times(quick: bool, seed: int) -> Experiment:
@@ -133,15 +133,15 @@ def times(quick: bool, seed: int) -> Experiment:
 
 def solvers(quick: bool, seed: int) -> Iterator[Experiment]:
     """Every solver by M, and on all taxels."""
-    known = variants()
+    by_label = variants()
     fixed = {
         label: of
-        for label, of in known.items()
+        for label, of in by_label.items()
         if of.changes.get("rows") != ROTATING and label not in LARGER
     }
     frames = frames_of(QUICK_SCENES if quick else tuple(SCENES), quick)
     swept = [*map(Measurement, QUICK_RATIOS if quick else RATIOS)]
-    for candidates, measurements in ((known, swept), (fixed, [Measurement(1, phi="full")])):
+    for candidates, measurements in ((by_label, swept), (fixed, [Measurement(1, phi="full")])):
         yield _timed("solvers", frames, measurements, candidates, tuple(FIGURES), (seed,))
 
 
@@ -154,8 +154,8 @@ def parts(quick: bool, seed: int) -> Iterator[Experiment]:
         label: Candidate({**PRESETS["paper"], "basis": name}, changes=changes)
         for label, name in BASES.items()
     }
-    others = [kind for kind in SUM_KINDS if kind not in ("sbhe", "full")]
-    kinds = [Measurement(ratio, phi=kind) for kind in others for ratio in ratios]
+    other_kinds = [kind for kind in SUM_KINDS if kind not in ("sbhe", "full")]
+    kinds = [Measurement(ratio, phi=kind) for kind in other_kinds for ratio in ratios]
     haar = {"haar": bases["haar"]}
     for candidates, measurements in (
         (bases, [*map(Measurement, ratios)]),
@@ -190,16 +190,18 @@ def n_bytes(n: int, ratio: float, rows: str, phi: str) -> int:
 
 def pooled(rows: pd.DataFrame, keys: Sequence[str]) -> pd.DataFrame:
     """Rows of scenes of one size as one row: panel and `keys`, and `FIGURES` as stated there."""
-    known = rows[rows["refused"] == ""].assign(panel=rows["scene"].map(pool_of))
+    of_scenes = rows[rows["refused"] == ""].assign(panel=rows["scene"].map(pool_of))
     figures = {name: how for name, how in FIGURES.items() if name in rows}
-    known = known.astype(dict.fromkeys(figures, float))
-    found = known.groupby(["panel", *keys], sort=False).agg(figures).reset_index()
-    return found.sort_values("panel", kind="stable")
+    of_scenes = of_scenes.astype(dict.fromkeys(figures, float))
+    means = of_scenes.groupby(["panel", *keys], sort=False).agg(figures).reset_index()
+    return means.sort_values("panel", kind="stable")
 
 
 def gathered(experiments: Iterable[Experiment], out: Path, executor: str) -> pd.DataFrame:
     """Rows of some experiments, with n_bytes, label, and pace: stated iterations, NaN if none."""
-    rows = pd.concat(one.run(out, executor) for one in experiments).reset_index(drop=True)
+    rows = pd.concat(experiment.run(out, executor) for experiment in experiments).reset_index(
+        drop=True
+    )
     split = rows["method"].str.split(": ", expand=True).reindex(columns=[0, 1])
     shapes = [math.prod(scene_of(scene).shape) for scene in rows["scene"]]
     rotates = [ROTATING if label == ROTATED else "" for label in split[0]]

@@ -155,7 +155,7 @@ class _Labels:
         box = Text.get_window_extent(label)
         inside = self._axes.bbox
         is_inside = inside.x0 < box.x0 and box.x1 + _MARGIN < inside.x1
-        if is_inside and not any(box.overlaps(other) for other in self._taken):
+        if is_inside and not any(box.overlaps(taken) for taken in self._taken):
             self._taken.append(box)
             return True
         label.remove()

@@ -22,7 +22,6 @@ from sparseskin.nodes.node import Context
 from sparseskin.nodes.numerics.arrays import TINY, Floats
 from sparseskin.nodes.reconstructor.bases.base import make_basis
 from sparseskin.nodes.reconstructor.node import Reconstructor
-from sparseskin.nodes.reconstructor.skin.tuning import SkinTuning
 from sparseskin.nodes.reconstructor.solvers.base import estimated_error
 from sparseskin.nodes.sensor.noise import NoiseModel
 from sparseskin.nodes.sensor.zero import Zero
@@ -103,15 +102,12 @@ def through_stream(world: World, fast: str) -> Iterator[tuple[Frame, Answer | No
         yield frame, Answer(forces, host.trusted, host.reason, spoiler.is_empty, host.error)
 
 
-def through_arrays(
-    world: World, fast: str, tuning: SkinTuning | None = None
-) -> Iterator[tuple[Frame, Answer | None]]:
-    """Through the functions `compress`, `make_solver`, `reconstruct`; `tuning`: of an ablation."""
+def through_arrays(world: World, fast: str) -> Iterator[tuple[Frame, Answer | None]]:
+    """Through the functions `compress`, `make_solver`, `reconstruct`."""
     n = int(np.count_nonzero(world.exists))
     phi = make_phi("sbhe", n, m_of(n, world.ratio, world.rows), seed=world.seed % 5)
     basis = make_basis("haar", *world.shape)
-    settings: dict[str, Any] = {"fast": fast, "rows": world.rows, "tuning": tuning}
-    solver: Any = make_solver("skin", phi, basis, world.exists, **settings)
+    solver: Any = make_solver("skin", phi, basis, world.exists, fast=fast, rows=world.rows)
     _state_noise(solver, world)
     subsets = getattr(solver, "subsets", ())
     frames = list(world.frames())

@@ -118,8 +118,8 @@ def _arrays(path: Path) -> LabelledFrames:
 
     frames = parts["frames"]
     if frames.ndim != 3 or not frames.size or frames.dtype.kind not in "iuf":
-        given = f"{frames.dtype} {frames.shape}"
-        raise StudyError(f"{path}: frames are {given}, not numbers (n, n_rows, n_cols)")
+        kind = f"{frames.dtype} {frames.shape}"
+        raise StudyError(f"{path}: frames are {kind}, not numbers (n, n_rows, n_cols)")
     frames = frames.astype(np.float32)
     if not np.isfinite(frames).all() or frames.min() < 0:
         raise StudyError(f"{path}: frames hold a number that is negative or not finite")

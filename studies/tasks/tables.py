@@ -43,7 +43,11 @@ def run(out: Path, quick: bool, seed: int, executor: str, data: Path | None = No
     folder of a public set of frames, as `read_set` takes it.
     """
     check_installed("study tasks")
-    command = f"study tasks{' --quick' if quick else ''}{' --data DIR' if data else ''}"
+    command = "study tasks"
+    if quick:
+        command += " --quick"
+    if data:
+        command += " --data DIR"
     page = Page(out, "tasks", Path(__file__).with_name("notes.md"), quick, command)
     n_seeds = 1 if quick else N_SEEDS
     asked = points(quick, seed, n_seeds, {})

@@ -49,7 +49,9 @@ def _single(frames: Floats, ratio: int, seed: int) -> Floats:
     """An even lattice of taxels, of N / ratio at most."""
     mask = np.ones(frames.shape[1:], dtype=np.bool_)
     m = m_of(mask.size, ratio)
-    read = max((one for one in classes(mask, ratio) if one.size <= m), key=lambda one: one.size)
+    read = max(
+        (cells for cells in classes(mask, ratio) if cells.size <= m), key=lambda cells: cells.size
+    )
     return frames.reshape(len(frames), -1)[:, read]
 
 

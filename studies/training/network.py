@@ -73,11 +73,11 @@ def first_network(seed: int) -> Network:
 def cosines(side: int) -> Doubles:
     """Return two-dimensional cosines by frequency, float64 (side^2, side^2), orthonormal rows."""
     k = np.arange(side)
-    one = np.sqrt(2 / side) * np.cos(np.pi * (k + 0.5) * k[:, None] / side)
-    one[0] /= math.sqrt(2)
+    cosines = np.sqrt(2 / side) * np.cos(np.pi * (k + 0.5) * k[:, None] / side)
+    cosines[0] /= math.sqrt(2)
     order = np.argsort(np.add.outer(k, k).reshape(-1), kind="stable")
-    made: Doubles = np.kron(one, one)[order]
-    return made
+    products: Doubles = np.kron(cosines, cosines)[order]
+    return products
 
 
 def weights(network: Network) -> dict[str, Floats]:
@@ -131,13 +131,13 @@ class Drawn:
 
     def _batch(self, size: int) -> tuple[Any, Any]:
         """Presses (size, N_FRAMES, SIDE, SIDE), mirrored or transposed, and their masks."""
-        chosen = self._pool[torch.randint(len(self._pool), (size,), generator=self._generator)]
+        drawn = self._pool[torch.randint(len(self._pool), (size,), generator=self._generator)]
         turn = int(self._rng.integers(8))
-        chosen = chosen.flip([axis for bit, axis in ((1, -1), (2, -2)) if turn & bit])
+        drawn = drawn.flip([axis for bit, axis in ((1, -1), (2, -2)) if turn & bit])
         if turn & 4:
-            chosen = chosen.transpose(-1, -2)
+            drawn = drawn.transpose(-1, -2)
         mask = torch.tensor(masks(self._rng, size))
-        return chosen * mask[:, None], mask
+        return drawn * mask[:, None], mask
 
     def _noise(self, size: int, low: float, high: float) -> Any:
         exponent = torch.rand(size, generator=self._generator)
@@ -177,7 +177,7 @@ def trained(
     """Weights, as of `weights`, the running mean of errors every `EVERY` batches, and scores by
     noise, of a training.
     """
-    before = torch.get_num_threads()
+    n_threads = torch.get_num_threads()
     torch.set_num_threads(1)
     try:
         drawn = Drawn(seed, presses(n_presses, seed))
@@ -199,8 +199,10 @@ def trained(
         held_out = presses(HELD_OUT, seed + 1)
         scores = Drawn(seed + 1, held_out).score(network)
         if (shipped := stored_gates()) is not None:
-            others = {name: torch.tensor(getattr(shipped, name)) for name in network}
-            scores["error, shipped weights"] = Drawn(seed + 1, held_out).score(others)["error"]
+            shipped_network = {name: torch.tensor(getattr(shipped, name)) for name in network}
+            scores["error, shipped weights"] = Drawn(seed + 1, held_out).score(shipped_network)[
+                "error"
+            ]
         return weights(network), rows, scores
     finally:
-        torch.set_num_threads(before)
+        torch.set_num_threads(n_threads)

@@ -37,14 +37,16 @@ def masks(rng: np.random.Generator, count: int) -> Floats:
 
     The result is float32 (count, SIDE, SIDE), 1 where a taxel exists.
     """
-    made = np.ones((count, SIDE, SIDE), dtype=np.float32)
+    is_taxel = np.ones((count, SIDE, SIDE), dtype=np.float32)
     row, col = np.mgrid[:SIDE, :SIDE] + 0.5
     for k in np.flatnonzero(rng.random(count) < 0.2):
         c = rng.uniform(8, 24, 2)
         a = rng.uniform(4, 20, 2)
         power = rng.choice([2.0, 4.0, 64.0])
-        made[k] = np.abs((row - c[0]) / a[0]) ** power + np.abs((col - c[1]) / a[1]) ** power < 1
-    return made
+        is_taxel[k] = (
+            np.abs((row - c[0]) / a[0]) ** power + np.abs((col - c[1]) / a[1]) ** power < 1
+        )
+    return is_taxel
 
 
 def press(rng: np.random.Generator) -> Floats:
@@ -52,8 +54,8 @@ def press(rng: np.random.Generator) -> Floats:
     forces = _drawn(rng)
     while not forces.max() > LEAST:
         forces = _drawn(rng)
-    made: Floats = (forces / forces.max()).astype(np.float32)
-    return made
+    scaled: Floats = (forces / forces.max()).astype(np.float32)
+    return scaled
 
 
 def _drawn(rng: np.random.Generator) -> Doubles:
@@ -90,15 +92,15 @@ def bodies(rng: np.random.Generator) -> Doubles:
     turn = rng.normal(0, 0.02) * (rng.random() < 0.3)
     tilt = rng.normal(0, 0.03, 2) * (rng.random() < 0.4)
     edge = math.exp(rng.uniform(math.log(0.08), math.log(2.5)))
-    made = np.empty((N_FRAMES, SIDE, SIDE))
+    pressures = np.empty((N_FRAMES, SIDE, SIDE))
     for t in range(N_FRAMES):
         row, col = (np.arange(SIDE) + 0.5 - (c + t * v) for c, v in zip(centre, speed, strict=True))
         phi = angle + t * turn
         along = math.cos(phi) * row[:, None] + math.sin(phi) * col
         across = -math.sin(phi) * row[:, None] + math.cos(phi) * col
-        made[t] = shape(along, across) if edge < 0.2 else _softened(shape(along, across), edge)
-        made[t] *= np.clip(1 + tilt[0] * row[:, None] + tilt[1] * col, 0, 3)
-    return np.maximum(made, 0)
+        pressures[t] = shape(along, across) if edge < 0.2 else _softened(shape(along, across), edge)
+        pressures[t] *= np.clip(1 + tilt[0] * row[:, None] + tilt[1] * col, 0, 3)
+    return np.maximum(pressures, 0)
 
 
 def _softened(image: Doubles, edge: float) -> Doubles:
@@ -156,7 +158,9 @@ def shapes(rng: np.random.Generator) -> Shape:
     if which == 6:  # a peg of a few taxels
         r = rng.uniform(0.5, 2.5)
         return lambda x, y: _step(r - np.hypot(x, y))
-    wave, phase = rng.uniform(2, 12), rng.uniform(0, 2 * math.pi)  # ripples under a pad
+    # Ripples under a pad.
+    wave = rng.uniform(2, 12)
+    phase = rng.uniform(0, 2 * math.pi)
     return lambda x, y: (
         (0.6 + 0.4 * np.sin(2 * math.pi * x / wave + phase))
         * np.exp(-((x / (2 * a)) ** 2) - (y / (2 * b)) ** 2)
@@ -183,9 +187,9 @@ def smooth_field(rng: np.random.Generator) -> Doubles:
     change = ndimage.gaussian_filter(rng.standard_normal(field.shape), scale, mode="wrap")
     change *= rng.choice([0.0, 0.03, 0.2]) / change.std()
     level = rng.uniform(-1.0, 1.2)
-    made = [
+    shifted = [
         ndimage.shift(field + t * change, t * drift, order=1, mode="nearest")[4:-4, 4:-4]
         for t in range(N_FRAMES)
     ]
-    raised = np.maximum(0, np.array(made) + level)
-    return raised ** rng.choice([1.0, 1.0, 1.5, 2.0]) if rng.random() < 0.7 else np.exp(made)
+    raised = np.maximum(0, np.array(shifted) + level)
+    return raised ** rng.choice([1.0, 1.0, 1.5, 2.0]) if rng.random() < 0.7 else np.exp(shifted)

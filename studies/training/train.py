@@ -28,9 +28,9 @@ def run(out: Path, quick: bool, seed: int, executor: str) -> list[str]:
     n_presses, n_batches = (400, 1500) if quick else (24_000, 42_000)
     from .network import BATCH, trained  # needs torch
 
-    found, rows, scores = trained(n_presses, n_batches, seed)
+    network, rows, scores = trained(n_presses, n_batches, seed)
     content = BytesIO()
-    halves: dict[str, Any] = {name: value.astype(np.float16) for name, value in found.items()}
+    halves: dict[str, Any] = {name: value.astype(np.float16) for name, value in network.items()}
     np.savez(content, **halves)
     try:
         (out / FILE).write_bytes(content.getvalue())
@@ -41,7 +41,7 @@ def run(out: Path, quick: bool, seed: int, executor: str) -> list[str]:
     page.section("", _draw(out, pd.DataFrame(rows)), scores)
     page.csv("train", pd.DataFrame(rows))
     line = (
-        f"{FILE} (SHA-256 {fingerprint}): {sum(a.size for a in found.values())} weights, seed "
+        f"{FILE} (SHA-256 {fingerprint}): {sum(a.size for a in network.values())} weights, seed "
         f"{seed}, {n_presses} presses, {n_batches} batches of {BATCH}."
     )
     page.write([line])

@@ -157,7 +157,7 @@ def test_a_moving_body_moves_by_its_speed_in_each_frame_but_where_it_turns_back(
 
 
 def test_parts_of_a_course_last_as_many_frames_as_are_stated():
-    timing = Timing(before=3, ramp=5, pause=2, held=4)
+    timing = Timing(untouched=3, ramp=5, pause=2, contact=4)
     ramped, _ = frames_of("gaussian", course="ramped", n=15, timing=timing)
     totals = ramped.sum(axis=(1, 2))
     np.testing.assert_allclose(

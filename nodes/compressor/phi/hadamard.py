@@ -34,10 +34,10 @@ def block_sizes(n: int, block: int) -> list[int]:
     with blocks of 32 give 32, 32, 16, 8, 4, 2, 1.
     """
     sizes = [block] * (n // block)
-    rest = n % block
-    while rest:
-        sizes.append(1 << (rest.bit_length() - 1))
-        rest -= sizes[-1]
+    n_remaining = n % block
+    while n_remaining:
+        sizes.append(1 << (n_remaining.bit_length() - 1))
+        n_remaining -= sizes[-1]
     return sizes
 
 

@@ -67,7 +67,7 @@ def split_evenly(order: Indices, m: int, n_subsets: int | None = None) -> list[I
     n_subsets = n_subsets or -(-n // m)
     steps = np.arange(n + 1, dtype=np.int64) * m * n_subsets
     passed = [(steps + subset * n) // (n * n_subsets) for subset in range(n_subsets)]
-    return [np.sort(order[np.diff(one) > 0]) for one in passed]
+    return [np.sort(order[np.diff(count) > 0]) for count in passed]
 
 
 class RotatingPhi(Phi):

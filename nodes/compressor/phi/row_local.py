@@ -85,8 +85,8 @@ class RowLocalPhi(RotatingPhi):
         if self.m == n_rows:
             return [self]
         all_columns = self._order[:n_rows]
-        others = self._order[n_rows:]
-        parts = split_rows(others, self.m - n_rows)
+        other_rows = self._order[n_rows:]
+        parts = split_rows(other_rows, self.m - n_rows)
         return self._twins([np.concatenate([all_columns, part]) for part in parts])
 
     @property
@@ -111,13 +111,13 @@ def _independent(signs: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
     n_cols = signs.shape[1]
     if len(signs) == n_cols:
         return signs
-    kept: list[int] = []
-    found = np.zeros((0, n_cols))
+    independent: list[int] = []
+    orthonormal = np.zeros((0, n_cols))
     for k, row in enumerate(signs):
-        rest = row - found.T @ (found @ row)
-        rest -= found.T @ (found @ rest)  # once more, for the rounding
-        length = float(np.linalg.norm(rest))
+        residual = row - orthonormal.T @ (orthonormal @ row)
+        residual -= orthonormal.T @ (orthonormal @ residual)  # once more, for the rounding
+        length = float(np.linalg.norm(residual))
         if length > 1e-6:
-            kept.append(k)
-            found = np.concatenate([found, rest[None] / length])
-    return signs[kept]
+            independent.append(k)
+            orthonormal = np.concatenate([orthonormal, residual[None] / length])
+    return signs[independent]

@@ -113,12 +113,12 @@ class StackedPhi(StoredPhi):
 def load_matrices(path: str) -> tuple[csr_array, ...]:
     """Read and check the matrices of a file, float32 (m, n); PhiError as of `StoredPhi`."""
     try:
-        found = Path(path).stat()
+        status = Path(path).stat()
         if not Path(path).is_file():
             raise PhiError("is no file")
-        if found.st_size > MAX_FILE_BYTES:
-            raise PhiError(f"{found.st_size} bytes; at most {MAX_FILE_BYTES}")
-        return _load(path, (found.st_mtime_ns, found.st_size, found.st_ino))
+        if status.st_size > MAX_FILE_BYTES:
+            raise PhiError(f"{status.st_size} bytes; at most {MAX_FILE_BYTES}")
+        return _load(path, (status.st_mtime_ns, status.st_size, status.st_ino))
     except (ArrayFileError, PhiError) as error:
         raise PhiError(f"{path}: {error}") from error
     except (OSError, ValueError) as error:
@@ -150,13 +150,13 @@ def _checked_stack(stack: npt.NDArray[Any]) -> tuple[csr_array, ...]:
     if not (1 <= k <= MAX_SUBSETS and 1 <= m <= n <= MAX_ELEMENTS):
         allowed = f"allowed: 1..{MAX_SUBSETS} of 1 <= m <= n <= {MAX_ELEMENTS}"
         raise PhiError(f"{k} matrices of {m} x {n}; {allowed}")
-    made = []
+    matrices = []
     for number, matrix in enumerate(stack):
         try:
-            made.append(_finite(csr_array(_in_float32(matrix))))
+            matrices.append(_finite(csr_array(_in_float32(matrix))))
         except PhiError as error:
             raise PhiError(f"matrix {number}: {error}") from error
-    return tuple(made)
+    return tuple(matrices)
 
 
 def _checked(arrays: dict[str, npt.NDArray[Any]]) -> csr_array:

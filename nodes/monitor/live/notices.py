@@ -84,8 +84,6 @@ class Notices:
         state = node["state"]
         if state.get("left_out"):
             yield NOTE, f"{name}: {state['left_out']}."
-        if state.get("swamped"):
-            yield BAD, f"{name}: too many measurements are inconsistent."
 
     def _of_patch(self, name: str, patch: PatchFeed, now_s: float) -> Iterator[Notice]:
         if patch.ended:

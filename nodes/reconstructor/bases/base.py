@@ -135,13 +135,13 @@ def make_basis(name: str, n_rows: int, n_cols: int) -> Basis:
     """
     cls = find_basis(name)
     try:
-        made = cls(n_rows=n_rows, n_cols=n_cols)
+        instance = cls(n_rows=n_rows, n_cols=n_cols)
     except TypeError as cause:
         raise SolverError(f'basis "{name}" does not take n_rows, n_cols: {cause}') from cause
-    missing = [attribute for attribute in _INTERFACE if not hasattr(made, attribute)]
+    missing = [attribute for attribute in _INTERFACE if not hasattr(instance, attribute)]
     if missing:
         raise SolverError(f'basis "{name}" is no basis: it lacks {", ".join(missing)}')
-    basis: Basis = made
+    basis: Basis = instance
     if getattr(basis, "label", None) == "":
         basis.label = name
     return basis

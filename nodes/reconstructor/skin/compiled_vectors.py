@@ -120,10 +120,6 @@ class CompiledVectors(Vectors):
         self.x[:] = x
         self._estimate.rows[:] = self._rows.forward(x)
 
-    def subtract(self, forces: Floats) -> None:
-        self.start_from(np.maximum(self.x - forces, 0))
-        self._filters.mean[:] -= self._rows.forward(forces)
-
     def begin(
         self, y: Floats, subset: RowSubset, bias: float, noise: float
     ) -> tuple[Comparison, MotionSums]:
@@ -135,7 +131,6 @@ class CompiledVectors(Vectors):
         self.innovation = innovation
         self.residual = residual
         self.doubt = doubt
-        self.change = change
         measured = kernels.Measured(
             *(read, values, innovation, subset.innovation),
             *(off_target, residual, doubt, excess, change, *vectors[7:]),

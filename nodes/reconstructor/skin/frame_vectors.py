@@ -93,10 +93,6 @@ class FrameVectors(Vectors):
         self.x = x
         self._x_rows = self._rows.forward(x)
 
-    def subtract(self, forces: Floats) -> None:
-        self.start_from(np.maximum(self.x - forces, 0))
-        self._mean = self._mean - self._rows.forward(forces)
-
     def begin(
         self, y: Floats, subset: RowSubset, bias: float, noise: float
     ) -> tuple[Comparison, MotionSums]:
@@ -138,7 +134,7 @@ class FrameVectors(Vectors):
         a = self._x_rows[read]
         b = down[read]
         c = across[read]
-        self.change = self._certain * (self._values - a)
+        change = self._certain * (self._values - a)
         return MotionSums(
             aa=_dot(a, a),
             ab=_dot(a, b),
@@ -146,9 +142,9 @@ class FrameVectors(Vectors):
             bb=_dot(b, b),
             bc=_dot(b, c),
             cc=_dot(c, c),
-            a_change=_dot(a, self.change),
-            b_change=_dot(b, self.change),
-            c_change=_dot(c, self.change),
+            a_change=_dot(a, change),
+            b_change=_dot(b, change),
+            c_change=_dot(c, change),
             energy=_dot(self.x, self.x),
             largest=float(self.x.max()),
             n_read=len(read),

@@ -34,8 +34,6 @@ class Rows(ABC):
         Rows that this frame reads, ascending.
     blocks : ndarray of int64, shape (m,), or None
         Number of the block of taxels that each of them sums; None where rows are no blocks.
-    block_of_taxel : ndarray of int64, shape (n,)
-        Number of the block of each place of a vector of taxels; 0 where rows are no blocks.
     """
 
     n: int
@@ -43,7 +41,6 @@ class Rows(ABC):
     taxel: Indices
     read: Indices
     blocks: Indices | None = None
-    block_of_taxel: Indices
 
     @abstractmethod
     def use(self, phi: Phi) -> bool:
@@ -95,10 +92,6 @@ class HadamardRows(Rows):
         layout = _layout_of(phi)
         taxels, rows = self._transform_of(layout.sizes)
         self.taxel = shared(layout.permutation[taxels])
-        self.block_of_taxel = np.zeros(phi.n, dtype=np.intp)
-        if layout.blocks is not None:
-            ends = np.cumsum(layout.sizes)
-            self.block_of_taxel = shared(np.searchsorted(ends, taxels, side="right"))
         self._place_of_row = shared(np.argsort(rows))
         self._subsets: dict[str, ReadRows] = {}
         self.use(phi)
@@ -185,7 +178,6 @@ class WhitenedRows(Rows):
     def __init__(self, phi: Phi) -> None:
         self.n = phi.n
         self.taxel = np.arange(phi.n)
-        self.block_of_taxel = np.zeros(phi.n, dtype=np.intp)
         self._subsets: dict[str, tuple[Phi, Floats | None]] = {}
         self._phi = phi
         self.use(phi)

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 from types import MappingProxyType
-from typing import NamedTuple
 
 import numpy as np
 
 from sparseskin.nodes.compressor.phi.base import RANDOM, SUMS, Phi, block_layout, phi_fact
 from sparseskin.nodes.compressor.phi.rotation import FIXED, ROTATING
 from sparseskin.nodes.errors import SolverError
-from sparseskin.nodes.numerics.arrays import Doubles, Floats, Indices, Mask, shared
+from sparseskin.nodes.numerics.arrays import Floats, Mask, shared
 from sparseskin.nodes.numerics.compiled import use_compiled
 from sparseskin.nodes.reconstructor.bases.base import Basis
 from sparseskin.nodes.reconstructor.solvers.base import (
@@ -29,22 +28,6 @@ from .vectors import CONVERGED, N_FORMULA, StepPlan, StepTimes, Vectors, steps_f
 
 MOST_TILES = 1 << 40
 """Bound of the times that are stated in tiles: no frame takes as long."""
-
-
-class Projection(NamedTuple):
-    """What a change shows of each of some taxels; vectors of these, in their order."""
-
-    projected: Floats  # the change, projected back to the taxels
-    background: Doubles  # its variance by the errors of the other taxels
-    own: Doubles  # its variance by an error of the taxel, in the variance of that
-
-
-class BlocksRead(NamedTuple):
-    """The blocks of taxels that a row subset sums."""
-
-    blocks: Indices  # of each row read
-    unseen: Doubles  # seen part of each times the unseen one, by its number of rows
-    seen2: Doubles  # square of the seen part of each
 
 
 class SkinSolver(CountsTiles):
@@ -130,11 +113,7 @@ class SkinSolver(CountsTiles):
         place = np.zeros(self.mask.shape, dtype=np.intp)
         place.flat[self._cells] = np.arange(phi.n)
         self._place = shared(place)  # of each taxel, as in `Rows.taxel`
-        self._place_of_taxel = shared(place.flat[self.taxels])
-        self._block_of_taxel = shared(self._rows.block_of_taxel[self._place_of_taxel])
-        self._block_sizes = shared(np.bincount(self._rows.block_of_taxel))
         self._ones: dict[str, Floats] = {}  # Phi 1, by row subset
-        self._blocks: dict[str, BlocksRead] = {}
         self._holes = None if phi.n == self.mask.size else ~self.mask
 
         self._tuning = tuning
@@ -185,24 +164,9 @@ class SkinSolver(CountsTiles):
         return self._estimator.noise_level.variance
 
     @property
-    def least_noise2(self) -> float:
-        """That of an untouched skin, as known so far; 0: not known."""
-        level = self._estimator.noise_level
-        return level.least if level.is_known else 0.0
-
-    @property
     def _compares(self) -> bool:
         """True if measurements are sums of blocks."""
         return self._rows.blocks is not None
-
-    @property
-    def excess_noise2(self) -> float:
-        """What the noise variance of a measurement exceeds that of an untouched skin by, where that
-        is significant.
-        """
-        level = self._estimator.noise_level
-        variance = level.variance * level.trust
-        return self._tuning.surplus(variance, level.least, len(self._rows.read))
 
     @property
     def doubt(self) -> Floats | None:
@@ -223,57 +187,6 @@ class SkinSolver(CountsTiles):
                 self._ones[phi.fingerprint] = shared(phi.forward(all_ones))
             measured = measured + np.float32(self.bias) * self._ones[phi.fingerprint]
         return measured
-
-    def subtract(self, forces: Floats) -> None:
-        """Subtract forces, float32 (n_rows, n_cols), from the state of the last frame: the next
-        ones are measured without them.
-        """
-        self._estimator.vectors.subtract(forces.reshape(-1)[self._cells])
-
-    def projection(self, change: Floats, taxels: Indices) -> Projection:
-        """Return what a change of the values of the rows read, float32 (n_read,), shows of some
-        taxels, by number in row-major order.
-        """
-        rows = self._rows
-        of_rows = np.zeros(rows.n_rows, dtype=np.float32)
-        of_rows[rows.read] = change
-
-        # The mean square of the change is that of the errors of the taxels.
-        of_blocks = self._blocks_read()
-        squares = np.bincount(of_blocks.blocks, change * change, minlength=len(of_blocks.unseen))
-        background = of_blocks.unseen * squares
-
-        projected = rows.adjoint(of_rows).take(self._place_of_taxel[taxels])
-        block = self._block_of_taxel[taxels]
-        return Projection(projected, background.take(block), of_blocks.seen2.take(block))
-
-    def _blocks_read(self) -> BlocksRead:
-        """What does not change of the blocks that the row subset reads."""
-        fingerprint = self.phi.fingerprint
-        if fingerprint not in self._blocks:
-            blocks = self._rows.blocks
-            if blocks is None:
-                blocks = np.zeros(len(self._rows.read), dtype=np.intp)
-            n_read = np.bincount(blocks, minlength=len(self._block_sizes))
-            seen = n_read / self._block_sizes
-            unseen = shared(seen * (1 - seen) / np.maximum(n_read, 1))
-            self._blocks[fingerprint] = BlocksRead(blocks, unseen, shared(seen * seen))
-        return self._blocks[fingerprint]
-
-    @property
-    def change(self) -> Floats:
-        """Values of the rows read less those of the last estimate, float32 (n_read,); after
-        `setup`. It is not the innovation: the motion that is fitted to a few taxels takes up their
-        noise.
-        """
-        return self._estimator.vectors.change
-
-    @property
-    def innovation(self) -> Floats:
-        """Values of the rows read less those that the last frame predicted, float32 (n_read,);
-        after `setup`.
-        """
-        return self._estimator.vectors.innovation
 
     @property
     def residual(self) -> Floats:

@@ -161,9 +161,6 @@ class Vectors(ABC):
         The last estimate.
     doubt : ndarray, shape (n_read,)
         Part of each value of the rows read that no force explains, 0 to 1; set by `begin`.
-    change : ndarray, shape (n_read,)
-        Values of the rows read less those of the last estimate, without what is doubted; set by
-        `begin`.
     innovation : ndarray, shape (n_read,)
         Values of the rows read less those predicted, without what is doubted; set by `predict`.
     residual : ndarray, shape (n_read,)
@@ -172,7 +169,6 @@ class Vectors(ABC):
 
     x: Floats
     doubt: Floats
-    change: Floats
     innovation: Floats
     residual: Floats
 
@@ -187,12 +183,6 @@ class Vectors(ABC):
     @abstractmethod
     def start_from(self, x: Floats) -> None:
         """Take x, float32 (n,), for the last estimate."""
-
-    @abstractmethod
-    def subtract(self, forces: Floats) -> None:
-        """Subtract forces, float32 (n,), that the next frames are measured without, from the last
-        estimate and from the means of the rows' filters.
-        """
 
     @abstractmethod
     def begin(

@@ -369,10 +369,10 @@ def make_solver(
     Parameters and Raises as in `sparseskin.arrays.make_solver`. A class of the user's own is called
     with phi, basis, mask and the settings as keywords.
     """
-    for what, given, method in (("phi", phi, "forward"), ("basis", basis, "synthesis")):
-        if not hasattr(given, method):
+    for kind, argument, method in (("phi", phi, "forward"), ("basis", basis, "synthesis")):
+        if not hasattr(argument, method):
             raise SolverError(
-                f"{what}: got {type(given).__name__}; expected what make_{what} returns"
+                f"{kind}: got {type(argument).__name__}; expected what make_{kind} returns"
             )
     cls = solver_class(name)
     check_reads(name, cls, phi.kind, type(phi))
@@ -380,24 +380,24 @@ def make_solver(
     if of_phi is not None:
         cls = solver_class(of_phi)
     parameters = inspect.signature(cls).parameters
-    known = [p for p in parameters if p not in ("phi", "basis", "mask", "fast")]
+    options = [p for p in parameters if p not in ("phi", "basis", "mask", "fast")]
     takes_any = any(p.kind is p.VAR_KEYWORD for p in parameters.values())
     for setting in settings:
-        if setting not in known and not takes_any:
+        if setting not in options and not takes_any:
             raise SolverError(
-                f'solver "{name}": setting "{setting}" is not known{did_you_mean(setting, known)}'
+                f'solver "{name}": setting "{setting}" is not known{did_you_mean(setting, options)}'
             )
     check_fast(fast)  # also for a solver without compiled loops
     if "fast" in parameters:
         settings["fast"] = fast
     try:
-        made = cls(phi=phi, basis=basis, mask=mask, **settings)
+        instance = cls(phi=phi, basis=basis, mask=mask, **settings)
     except TypeError as cause:
         raise SolverError(f'solver "{name}" cannot be made: {cause}') from cause
-    missing = [attribute for attribute in _INTERFACE if not hasattr(made, attribute)]
+    missing = [attribute for attribute in _INTERFACE if not hasattr(instance, attribute)]
     if missing:
         raise SolverError(f'solver "{name}" is no solver: it lacks {", ".join(missing)}')
-    solver: Solver = made
+    solver: Solver = instance
     return solver
 
 
@@ -443,12 +443,17 @@ def measured(solver: Solver, forces: Floats, *phis: Phi) -> list[Floats]:
 
     A solver that has a faster way states it as its method `measured`.
     """
-    if own := getattr(solver, "measured", None):
-        found: list[Floats] = own(forces, *phis)
-        return found
+    faster_way = getattr(solver, "measured", None)
+    if faster_way is not None:
+        measurements: list[Floats] = faster_way(forces, *phis)
+        return measurements
+
     x = forces.reshape(-1)[solver.taxels]
-    made = {key: phi.forward(x) for key, phi in {phi.fingerprint: phi for phi in phis}.items()}
-    return [made[phi.fingerprint] for phi in phis]
+    by_fingerprint: dict[str, Floats] = {}
+    for phi in phis:
+        if phi.fingerprint not in by_fingerprint:
+            by_fingerprint[phi.fingerprint] = phi.forward(x)
+    return [by_fingerprint[phi.fingerprint] for phi in phis]
 
 
 def check_reads(name: str, solver: object, kind: str, phi: type) -> None:

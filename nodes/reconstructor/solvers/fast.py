@@ -26,7 +26,10 @@ class CompiledFista:
         n = sum(sizes)
         of_rows = np.repeat(sizes, sizes)[layout.rows].astype(np.float32)
         self._scale = np.reciprocal(np.sqrt(of_rows))
-        self._theta, self._before, self._z, self._half = np.zeros((4, mask.size), np.float32)
+        self._theta = np.zeros(mask.size, np.float32)
+        self._before = np.zeros(mask.size, np.float32)
+        self._z = np.zeros(mask.size, np.float32)
+        self._half = np.zeros(mask.size, np.float32)
         #: A level of sums and differences without the factor 1 / sqrt(2) along each axis.
         weights = np.ones(mask.shape, dtype=np.float32)
         for rows, cols in level_sizes(*mask.shape):
@@ -41,10 +44,16 @@ class CompiledFista:
         self._grid = np.array(mask.shape, dtype=np.int64)
         places = np.flatnonzero(mask)[layout.permutation[columns]]
         self._tables = (
-            *(self._weights * self._weights, np.float32(lambda_n) * self._weights),
-            *(self._z, np.zeros(n, np.float32)),
+            self._weights * self._weights,
+            np.float32(lambda_n) * self._weights,
+            self._z,
+            np.zeros(n, np.float32),
             places.astype(np.uint32),
-            *(keep, self._measured, groups, self._grid, self._half),
+            keep,
+            self._measured,
+            groups,
+            self._grid,
+            self._half,
         )
 
     def reset(self) -> None:

@@ -172,6 +172,7 @@ class _Forces:
         if forces is None:
             return None
         reason = self._doubt.look(forces, self._clipped)
+        forces = self._doubt.filled(forces)
         reasons = (reason,) if reason else ()
         return forces, reasons
 

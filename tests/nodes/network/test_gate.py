@@ -93,7 +93,7 @@ def half_open(station):
 
 def listen(context, station, keys, server_key, now_ns=lambda: 0):
     lines = []
-    security = keys and {"own": vars(keys), "allowed": {}, "known": {}}
+    security = keys and {"key_pair": vars(keys), "allowed": {}, "names": {}}
     config = {"name": "reader", "endpoint": "inproc://reader", "security": security}
     node = Network(context, {**config, "distant_inputs": {TAXELS: "edge"}}, now_ns, lines.append)
     reader = node.make_reader([TAXELS])

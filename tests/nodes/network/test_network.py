@@ -17,7 +17,7 @@ LEFT = "/left/taxels"
 RIGHT = "/right/taxels"
 HERE = "/here/taxels"
 PAIR = dict(zip(("public", "secret"), map(bytes.decode, zmq.curve_keypair()), strict=True))
-SECURITY = {"own": PAIR, "allowed": {}, "known": {}}
+SECURITY = {"key_pair": PAIR, "allowed": {}, "names": {}}
 AHEAD_NS = {"left": 7_000_000_000, "right": -3_000_000_000}
 
 

@@ -7,8 +7,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from sparseskin.messages import Reason
+from sparseskin.messages import Reason, Taxels
 from sparseskin.messages.skin import Skin
+from sparseskin.nodes.clock import ManualClock
+from sparseskin.nodes.node import Context, Tick
+from sparseskin.nodes.sensor.node import MOST_NAMED, Sensor
 from sparseskin.nodes.sensor.repeats import CHANCE, LEAST_RUN_AT_END, QUIETER, Repeats
 
 F_MAX = 2.5
@@ -91,3 +94,70 @@ def test_the_number_of_repetitions_follows_from_the_noise_of_untouched_taxels(sh
         n_repeats += 1
     needed = math.log(CHANCE) / math.log(QUIETER * share)
     assert n_repeats == pytest.approx(needed, rel=0.15, abs=1)
+
+
+@given(seed=st.integers(0, 2**32 - 1), n_stuck=st.integers(1, 40), value=st.floats(0.5, 2.4))
+def test_stuck_taxels_have_the_mean_of_the_working_ones_beside_them(seed, n_stuck, value):
+    places = np.random.default_rng(seed).choice(14 * 14, n_stuck, replace=False)
+    watch = Repeats(SKIN)
+    for k, readings in enumerate(frames(seed, N_BEFORE + 20, force=0.3)):
+        if k >= N_BEFORE:
+            readings.flat[places] = value
+        watch.reason(readings)
+        filled = watch.filled(readings)
+        if k < N_BEFORE:
+            assert filled is readings
+    assert watch.cells == sorted(places)
+
+    works = np.ones((14, 14), dtype=np.bool_)
+    works.flat[places] = False
+    np.testing.assert_array_equal(filled[works], readings[works])
+    for row, col in np.argwhere(~works):
+        around = np.s_[max(row - 1, 0) : row + 2, max(col - 1, 0) : col + 2]
+        working = readings[around][works[around]]
+        expected = working.mean() if working.size else 0.0
+        assert filled[row, col] == pytest.approx(expected, abs=1e-5)
+
+
+def test_readings_at_the_end_of_the_range_and_of_frozen_frames_stay():
+    watch = Repeats(SKIN)
+    for readings in frames(1, 60, force=F_MAX + 1):
+        watch.reason(readings)
+        assert watch.filled(readings) is readings
+    for _ in range(40):
+        reason = watch.reason(readings)
+        assert watch.filled(readings) is readings
+    assert reason == Reason.FROZEN
+
+
+def test_a_taxel_that_works_again_is_used_at_once():
+    watch = Repeats(SKIN)
+    for k, readings in enumerate(frames(4, 40, force=0.3)):
+        if N_BEFORE <= k < 39:
+            readings[2, 3] = 1.5
+        watch.reason(readings)
+        assert (watch.cells == [2 * 14 + 3]) == (20 <= k < 39) or k < 20
+    assert watch.cells == []
+
+
+def test_a_sensor_states_its_stuck_taxels_and_logs_them_once(tmp_path):
+    recorded = np.stack(list(frames(5, 40, force=0.3)))
+    recorded[N_BEFORE:, :2, 3:9] = 1.5
+    np.save(tmp_path / "stuck.npy", recorded)
+    lines = []
+    context = Context("sensor", ManualClock(), log=lines.append)
+    chosen = Sensor.Settings(source=f"file:{tmp_path}/stuck.npy", tare=0, f_max=F_MAX)
+    sensor = Sensor(chosen, context)
+    messages = []
+    for k in range(39):  # the state is that of the frame after it
+        messages += sensor.acquire(Tick(k, k))
+    taxels = [message for message in messages if isinstance(message, Taxels)]
+
+    cells = [row * 14 + col for row in range(2) for col in range(3, 9)]
+    assert sensor.state()["faulty_taxels"] == cells
+    assert taxels[-1].reason == (Reason.STUCK,)
+    assert taxels[-1].forces[0, :2, 3:9].max() < MARGIN
+    about = [line for line in lines if line.startswith("stuck taxels")]
+    assert len(about) == 1
+    assert about[0].count("(") == MOST_NAMED
+    assert about[0].endswith("(1, 4), ...")

@@ -14,7 +14,6 @@ from sparseskin.nodes.compressor.phi.base import make_phi
 from sparseskin.nodes.compressor.phi.rotation import row_subsets
 from sparseskin.nodes.reconstructor.bases.base import make_basis
 from sparseskin.nodes.reconstructor.faults.watch import (
-    MAX_CELLS,
     MOST_NAMED,
     FaultWatch,
     Noise,
@@ -43,13 +42,12 @@ class Watched:
 
     def __init__(self, **settings):
         self.lines = []
-        exists = np.ones(SHAPE, dtype=np.bool_)
         self.subsets = row_subsets(PHI, "rotating")
         self.solver = make_rotating_solver("skin", self.subsets, make_basis("haar", *SHAPE))
         self.solver.noise_sd = LEAST_SD
         self.solver.noise_model = NOISE
-        noise = Noise(F_MAX, LEAST_SD, NOISE)
-        self.watch = FaultWatch(noise, exists, self.lines.append, **settings)
+        noise = Noise(F_MAX, LEAST_SD)
+        self.watch = FaultWatch(noise, SHAPE, self.lines.append, **settings)
         self.n_frames = 0
 
     def next_phi(self):
@@ -77,7 +75,7 @@ class Plain:
     [(2.4, 2.4, ""), (2.6, 2.5, ""), (2.74, 2.5, ""), (2.8, 2.8, Reason.RANGE)],
 )
 def test_forces_beyond_the_range_by_more_than_a_tenth_are_marked(largest, returned, reason):
-    watch = FaultWatch(Noise(F_MAX), np.ones(SHAPE, dtype=np.bool_))
+    watch = FaultWatch(Noise(F_MAX), SHAPE)
     forces = np.zeros(SHAPE, dtype=np.float32)
     forces[3, 4] = largest
     verdict = watch.look(Plain(), PHI, forces)
@@ -106,25 +104,22 @@ def spoilt_by(kind, rng):
 
 @settings(max_examples=15)
 @given(
-    kind=st.sampled_from(["garbage", "outlier", "offset", "gain", "stuck", "none"]),
+    kind=st.sampled_from(["garbage", "outlier", "offset", "gain", "none"]),
     seed=st.integers(0, 99),
 )
 def test_no_measurement_is_replaced(kind, seed):
-    """All that is subtracted is one number, and what stuck taxels read."""
+    """All that is subtracted is one number."""
     watched = Watched()
     rng = np.random.default_rng(seed)
     spoil = spoilt_by(kind, rng)
     for k, readings in enumerate(noisy(DISC, seed)):
-        if kind == "stuck" and k > 5:
-            readings[20:22, 30:33] = 1.7
         phi = watched.next_phi()
         y = phi.forward(readings.reshape(-1))
         if k >= 30:
             y = spoil(y)
-        of_stuck = phi.forward(watched.watch._stuck.value)
         believed = watched.watch.receive(watched.solver, phi, y)
         assert believed is not None
-        subtracted = y - believed - of_stuck
+        subtracted = y - believed
         np.testing.assert_allclose(subtracted, np.median(subtracted), atol=1e-5)
         watched.watch.look(watched.solver, phi, watched.solver.solve(believed))
 
@@ -235,7 +230,7 @@ def test_where_rows_are_not_watched_no_offset_is_subtracted():
 
 def test_single_taxels_may_repeat():
     phi = make_phi("subsample", 256, 85, seed=0)
-    watch = FaultWatch(Noise(F_MAX, LEAST_SD, NOISE), np.ones((16, 16), dtype=np.bool_))
+    watch = FaultWatch(Noise(F_MAX, LEAST_SD), (16, 16))
     zero = np.zeros(85, dtype=np.float32)
     assert [watch.glance(phi, zero) for _ in range(20)] == [""] * 20
 
@@ -246,13 +241,6 @@ def test_single_taxels_may_repeat():
 def test_measurements_mix_taxels_but_for_single_ones(kind, is_mixed):
     phi = make_phi(kind, 256, 256 if kind == "full" else 85, seed=0)
     assert (mixed_taxels(phi) >= 8) == is_mixed
-
-
-def test_of_many_stuck_taxels_the_first_cells_are_published():
-    watch = FaultWatch(Noise(F_MAX), np.ones(SHAPE, dtype=np.bool_))
-    watch._stuck.mark(np.arange(100, 1600), is_stuck=True, values=np.float32(1))
-    assert watch.taxels == [*range(100, 100 + MAX_CELLS)]
-    assert watch.text.endswith(f"(2, 27) and {1500 - MOST_NAMED} more")
 
 
 def test_few_names_are_listed_and_more_counted():

@@ -482,12 +482,12 @@ def test_innovation_and_residual_are_those_of_the_rows_read(fast):
         y = phi.forward(frame.reshape(-1))
         solver.use(phi)
         solver.setup(y)
-        innovation = solver.innovation.copy()
+        innovation = solver._estimator.vectors.innovation.copy()
         for _ in range(solver.n_steps):
             solver.step()
         solver.finish()
-        assert solver.innovation.shape == (phi.m,)
+        assert solver._estimator.vectors.innovation.shape == (phi.m,)
         assert solver.residual.shape == (phi.m,)
-        np.testing.assert_array_equal(solver.innovation, innovation)
-    assert 0 < np.std(solver.residual) < np.std(solver.innovation)
-    assert solver.residual.dtype == solver.innovation.dtype == np.float32
+        np.testing.assert_array_equal(solver._estimator.vectors.innovation, innovation)
+    assert 0 < np.std(solver.residual) < np.std(solver._estimator.vectors.innovation)
+    assert solver.residual.dtype == solver._estimator.vectors.innovation.dtype == np.float32
