@@ -57,14 +57,28 @@ class MeasuredNoise:
         """Add a frame, float32 (n,); return `sigma`."""
         previous = self._last
         self._last = forces
-        if previous is None or previous.shape != forces.shape or np.array_equal(previous, forces):
+        if previous is None or previous.shape != forces.shape:
+            return self.sigma
+        part = np.s_[:: forces.size // SAMPLE | 1]
+        change = np.abs(forces[part] - previous[part])
+        # Equal frames may be the same one, read twice.
+        if not change.any() and np.array_equal(previous, forces):
             return self.sigma
         is_clipped = np.count_nonzero(forces) < 0.75 * forces.size
-        part = np.s_[:: forces.size // SAMPLE | 1]
-        change = np.median(np.abs(forces[part] - previous[part]))
-        now = float(change) / (CLIPPED if is_clipped else DIFFERENCE)
+        now = _median(change) / (CLIPPED if is_clipped else DIFFERENCE)
         if self._mean is None:
             self._mean = self.sigma = now
         self._mean += SMOOTHING * (now - self._mean)
         self.sigma *= FALL if self._mean < self.sigma else RISE
         return self.sigma
+
+
+def _median(values: Floats) -> float:
+    """Median of values, 1 at least, whose order changes; a fifth of the time of NumPy's."""
+    values = values.reshape(-1)
+    middle = values.size // 2
+    if values.size % 2:
+        values.partition(middle)
+        return float(values[middle])
+    values.partition((middle - 1, middle))
+    return float(values[middle - 1 : middle + 1].mean())

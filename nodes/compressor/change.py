@@ -321,11 +321,12 @@ class ChangeWatch:
         widened = 1 + 1 / self._n
         sums = self._bounds.squares.sums(difference)
         limits = self._of.frame * np.sqrt(widened, dtype=np.float32)[:, np.newaxis]
-        by_sums = (np.abs(sums, out=sums) > limits).any(axis=1)
+        by_sums: Mask = np.logical_or.reduce(np.abs(sums, out=sums) > limits, axis=1)
         difference *= difference
         energy = np.einsum("krc,krc->k", difference, self._of.weights)
-        departs: Mask = by_sums | (energy > self._of.energy * widened)
-        return departs & ~self.sending
+        by_energy: Mask = energy > self._of.energy * widened
+        departs: Mask = (by_sums | by_energy) & ~self.sending
+        return departs
 
     def _exceed(self, patches: Indices, differences: Floats, variances: Doubles) -> Mask:
         """True where the difference of two means, of a variance in that of a reading, is no noise:
@@ -333,7 +334,7 @@ class ChangeWatch:
         """
         sums = self._bounds.squares.sums(differences)
         limits = self._of.block[patches] * np.sqrt(variances).astype(np.float32)[:, np.newaxis]
-        exceed: Mask = (np.abs(sums, out=sums) > limits).any(axis=1)
+        exceed: Mask = np.logical_or.reduce(np.abs(sums, out=sums) > limits, axis=1)
         return exceed
 
     def _end_sent(self, patch: int) -> None:

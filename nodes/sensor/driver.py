@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import math
 from collections.abc import Generator, Iterable, Iterator
 from contextlib import contextmanager
 from typing import Any, Literal
@@ -201,19 +202,28 @@ class DriverSource(LiveSource):
         if skin is not None and skin.mask is not None:
             values[~skin.mask] = 0
 
-        missing = ~np.isfinite(values)
-        if missing.any() and not self._layout.accepts_missing:
-            row, col = np.argwhere(missing)[0]
-            fault = f"row {row}, column {col}: {values[row, col]} is no force"
-            hint = f"a fault of the sensor or its driver; {NAN_HINT}"
-            raise SourceError(f"{where}, {fault}; {hint}")
-        values[missing] = np.nan
+        # The sum of squares is finite if all readings are, unless they are huge.
+        if not math.isfinite(np.vdot(values, values)):
+            self._mark_missing(values, where)
 
         # Raw readings are clipped once a calibration has made forces of them.
         if self._raw:
             return values.astype(np.float32, copy=False)
-        self.clipped.add(values, 0.0, self._f_max)
-        return np.clip(values, 0, self._f_max).astype(np.float32, copy=False)
+        if self.clipped.add(values, 0.0, self._f_max):
+            np.clip(values, 0, self._f_max, out=values)
+        return values.astype(np.float32, copy=False)
+
+    def _mark_missing(self, values: npt.NDArray[Any], where: str) -> None:
+        """Set readings that are not finite to NaN. Raises SourceError where none may be missing."""
+        is_number = np.isfinite(values)
+        if is_number.all():
+            return
+        if not self._layout.accepts_missing:
+            row, col = np.argwhere(~is_number)[0]
+            fault = f"row {row}, column {col}: {values[row, col]} is no force"
+            hint = f"a fault of the sensor or its driver; {NAN_HINT}"
+            raise SourceError(f"{where}, {fault}; {hint}")
+        values[~is_number] = np.nan
 
     def _arranged(self, array: npt.NDArray[Any], where: str) -> npt.NDArray[Any]:
         """The readings of a frame (rows, cols), by the layout; all frames have one shape."""

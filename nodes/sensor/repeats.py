@@ -57,8 +57,12 @@ class Repeats:
         self._f_max = np.float32(skin.f_max)
         self._margin = Margin()
         self._exists = skin.exists.reshape(-1)
+        self._are_all = skin.mask is None
         self.stuck: Mask = np.zeros(skin.shape, np.bool_)
+        self._is_any_stuck = False
         self._last: Floats = np.zeros(0, np.float32)
+        #: Taxels that repeated their last reading, and how often in a row.
+        self._repeated: Indices = np.zeros(0, np.intp)
         self._runs: Indices = np.zeros(0, np.intp)
         self._n_untouched = 0
         self._n_shown = 0
@@ -70,34 +74,53 @@ class Repeats:
         it has none.
         """
         readings = forces.reshape(-1)
-        if self.stuck.any():
-            self.stuck = np.zeros(forces.shape, np.bool_)
-        margin = self._margin.of(readings[self._exists], float(self._f_max), None)
-        if readings.size != self._last.size:
-            self._last = readings.copy()
-            self._runs = np.zeros(readings.size, np.intp)
+        if self._is_any_stuck:
+            self._set_stuck(np.zeros(forces.shape, np.bool_))
+        taxels = readings if self._are_all else readings[self._exists]
+        margin = self._margin.of(taxels, float(self._f_max), None)
+        before = self._last
+        self._last = readings.copy()
+        if readings.size != before.size:
+            self._repeated = self._repeated[:0]
+            self._runs = self._runs[:0]
             return ""
 
-        repeats = (readings == self._last) & (readings != 0)
-        self._count(self._last, repeats, margin)
-        self._runs += 1
-        self._runs *= repeats
-        np.copyto(self._last, readings)
-
-        longest = int(self._runs.max(initial=0))
+        # Hardly a taxel repeats: what follows is done for those alone.
+        repeated = np.flatnonzero((readings == before) & (readings != 0))
+        self._count(before, repeated, margin)
+        self._extend_runs(repeated, readings.size)
+        if not repeated.size:
+            return ""
         needed = self._needed()
-        if longest < needed:
+        if self._runs.max() < needed:
             return ""
-        at_end = readings >= self._f_max
-        stuck = self._runs >= np.where(at_end, max(needed, LEAST_RUN_AT_END), needed)
-        is_frozen = np.array_equal(stuck, readings != 0)
+        at_end = readings[repeated] >= self._f_max
+        is_stuck = self._runs >= np.where(at_end, max(needed, LEAST_RUN_AT_END), needed)
+        stuck = repeated[is_stuck]
+        is_frozen = stuck.size == np.count_nonzero(readings)
         if not is_frozen:
-            self.stuck = (stuck & ~at_end).reshape(forces.shape)
+            mask = np.zeros(forces.shape, np.bool_)
+            mask.flat[repeated[is_stuck & ~at_end]] = True
+            self._set_stuck(mask)
         if not self._matters(readings, stuck):
             return ""
         if is_frozen:
             return Reason.FROZEN
-        return Reason.CLIPPED if at_end[stuck].all() else Reason.STUCK
+        return Reason.CLIPPED if at_end[is_stuck].all() else Reason.STUCK
+
+    def _set_stuck(self, stuck: Mask) -> None:
+        self.stuck = stuck
+        self._is_any_stuck = bool(stuck.any())
+
+    def _extend_runs(self, repeated: Indices, n: int) -> None:
+        """Count the taxels, of n, that have repeated their reading, by number."""
+        if repeated.size:
+            runs = np.zeros(n, np.intp)
+            runs[self._repeated] = self._runs
+            self._runs = runs[repeated] + 1
+        else:
+            self._runs = self._runs[:0]
+        self._repeated = repeated
 
     @property
     def cells(self) -> list[int]:
@@ -108,23 +131,25 @@ class Repeats:
         """The last frame, float32 (n_rows, n_cols), in which each stuck taxel has the mean of the
         working ones beside it, 0 where there is none.
         """
-        if not self.stuck.any():
+        if not self._is_any_stuck:
             return forces
         works = self._exists.reshape(forces.shape) & ~self.stuck
         n_working = of_nine(works.astype(np.float32), np.add)
         sums = of_nine(np.where(works, forces, np.float32(0)), np.add)
         return np.where(self.stuck, sums / np.maximum(n_working, 1), forces)
 
-    def _count(self, before: Floats, repeats: Mask, margin: float) -> None:
+    def _count(self, before: Floats, repeated: Indices, margin: float) -> None:
         """Add the pairs of readings of untouched taxels to the counts."""
-        untouched = (np.abs(before) <= margin) & self._exists
+        untouched = np.abs(before) <= margin
+        if not self._are_all:
+            untouched &= self._exists
         shown = untouched & (before != 0)
         self._n_untouched += int(np.count_nonzero(untouched))
         self._n_shown += int(np.count_nonzero(shown))
 
-        shown &= self._runs == 0
+        shown[self._repeated] = False
         self._n_pairs += int(np.count_nonzero(shown))
-        self._n_repeated += int(np.count_nonzero(shown & repeats))
+        self._n_repeated += int(np.count_nonzero(shown[repeated]))
 
     def _needed(self) -> float:
         """Number of repetitions of a stuck taxel; infinite where none shows."""
@@ -136,8 +161,8 @@ class Repeats:
         return max(LEAST_RUN, math.ceil(math.log(CHANCE) / math.log(probability)))
 
     @staticmethod
-    def _matters(readings: Floats, stuck: Mask) -> bool:
-        """True if these taxels have a large part of the forces of a frame."""
+    def _matters(readings: Floats, stuck: Indices) -> bool:
+        """True if these taxels, by number, have a large part of the forces of a frame."""
         energy = float(readings @ readings)
         of_stuck = readings[stuck]
         return float(of_stuck @ of_stuck) > SHARE**2 * energy

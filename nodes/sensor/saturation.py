@@ -41,9 +41,10 @@ class Clipped:
 
     def add(
         self, readings: npt.NDArray[Any], low: float, high: float, noise: float | None = None
-    ) -> None:
+    ) -> bool:
         """Count those of a frame, (rows, cols), that are below `low` or above `high`; NaN is
         neither. `noise` is the standard deviation of an untouched taxel, None if not known.
+        Returns True if a reading is to be clipped.
         """
         if self.mask is not None:
             readings = readings[self.mask]
@@ -51,13 +52,17 @@ class Clipped:
         self.sign.update(readings, low, margin)
         self.n_now = 0
 
-        # Without NaN, unlike min and max.
-        lowest = float(np.fmin.reduce(readings, axis=None, initial=math.inf))
-        highest = float(np.fmax.reduce(readings, axis=None, initial=-math.inf))
+        lowest = float(readings.min(initial=math.inf))
+        highest = float(readings.max(initial=-math.inf))
+        if math.isnan(lowest):
+            # Without NaN, and three times as slow.
+            lowest = float(np.fmin.reduce(readings, axis=None, initial=math.inf))
+            highest = float(np.fmax.reduce(readings, axis=None, initial=-math.inf))
         # Noise that is known may lie below the range: only what exceeds it counts.
         lower_end = low if noise is None else low - margin
+        is_beyond = lowest < low or highest > high
         if lower_end <= lowest and highest <= high:
-            return
+            return is_beyond
 
         self.n_below += int(np.count_nonzero(readings < lower_end))
         self.n_above += int(np.count_nonzero(readings > high))
@@ -67,6 +72,7 @@ class Clipped:
         # What noise alone may do is no reason to doubt a frame.
         beyond = (readings < low - margin) | (readings > high + margin)
         self.n_now = int(np.count_nonzero(beyond))
+        return is_beyond
 
     def watch(self, readings: npt.NDArray[Any], low: float, high: float) -> None:
         """Look at a frame as `add`, of readings that somebody has stated what to do with outside

@@ -77,11 +77,11 @@ class Sign:
         if self._below.shape != below.shape:
             self._below = np.zeros_like(below)
             self._above = np.zeros_like(below)
-        if above.any():
-            self.n_rises += int(np.count_nonzero(above & ~self._above))
+        # True is more than False: those that were not before.
+        self.n_rises += int(np.count_nonzero(above > self._above))
         self._n_below = int(np.count_nonzero(below))
         if self._n_below:
-            self.n_falls += int(np.count_nonzero(below & ~self._below))
+            self.n_falls += int(np.count_nonzero(below > self._below))
             self.lowest = min(self.lowest, float(np.nanmin(readings)))
         self._below = below
         self._above = above
@@ -106,10 +106,13 @@ class Margin:
         values = readings.reshape(-1)[::step].astype(np.float64)
         previous = self._previous
         self._previous = values
-        is_number = np.isfinite(values)
-        if not is_number.all():
+        # The sum of squares is finite if all values are, unless they are huge.
+        energy = float(np.vdot(values, values))
+        if not math.isfinite(energy):
+            is_number = np.isfinite(values)
             values = values[is_number]
-            previous = None  # its values are of other taxels
+            if not is_number.all():
+                previous = None  # its values are of other taxels
         if not values.size:
             return floor
 
@@ -117,8 +120,9 @@ class Margin:
         spreads = sorted(self._spreads)
         median_spread = spreads[(len(spreads) - 1) // 2]
 
-        # The steps of a converter hide the noise.
-        if np.array_equal(values, np.rint(values)):
+        # The steps of a converter hide the noise. Squares of whole numbers have a whole sum.
+        is_whole = energy.is_integer() or not math.isfinite(energy)
+        if is_whole and (values == np.rint(values)).all():
             floor = max(floor, min(WHOLE, MOST_WHOLE * f_max))
         return max(SIGMAS * median_spread, floor)
 
@@ -128,7 +132,7 @@ def _spread(values: Doubles, previous: Doubles | None) -> float:
     load raises, and of that since the frame before, which a motion raises.
     """
 
-    over_taxels = MAD_TO_SD * _middle(np.abs(values - _middle(values)))
+    over_taxels = MAD_TO_SD * _middle(np.abs(values - _middle(values.copy())))
     if previous is None or previous.size != values.size:
         return over_taxels
     change = _middle(np.abs(values - previous)) / DIFFERENCE
@@ -138,5 +142,7 @@ def _spread(values: Doubles, previous: Doubles | None) -> float:
 
 
 def _middle(values: Doubles) -> float:
-    """Median of values, the upper one of two."""
-    return float(np.partition(values, values.size // 2)[values.size // 2])
+    """Median of values, the upper one of two; their order changes."""
+    middle = values.size // 2
+    values.partition(middle)
+    return float(values[middle])

@@ -9,7 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from sparseskin.messages import Message, decode, encode
+from sparseskin.messages import Message, decode
+from sparseskin.messages.wire import received, wire_bytes
 from sparseskin.nodes.clock import ManualClock
 from sparseskin.nodes.node import Context, Tick
 from sparseskin.nodes.process.proc import own_bytes
@@ -34,11 +35,11 @@ def time_body(point: dict[str, Any]) -> dict[str, Any]:
     shape = {"simulated": {"n_rows": side, "n_cols": side}, "rate_hz": 100.0}
     sensor = made_node("sensor", {**common, **source, **shape})
     edge = made_node("compressor", common)
-    (skin,) = sensor.start()
-    (phi,) = edge.step(skin)
+    list(sensor.start())
     # The next frame is of the time when all have landed, then come frames each 1 ms.
     list(sensor.acquire(Tick(0, 0)))
-    list(sensor.change(sensor.settings.changed({"rate_hz": 1000.0})))
+    (skin,) = sensor.change(sensor.settings.changed({"rate_hz": 1000.0}))
+    (phi,) = edge.step(skin)
     gc.collect()
     before = own_bytes(os.getpid())
     host = made_node("reconstructor", {**common, "skip_idle": point["idle"] > 0})
@@ -48,11 +49,11 @@ def time_body(point: dict[str, Any]) -> dict[str, Any]:
     n_unchanged = n_bytes = 0
     for k in range(WARM_UP + n_frames):
         (taxels, _) = sensor.acquire(Tick(1_000_000 * (k + 1), k + 1))
-        (measured,) = timed_step(edge, encode(taxels), edge_s)
-        (found,) = timed_step(host, measured, host_s)
+        (measured,) = timed_step(edge, wire_bytes(taxels), edge_s)
+        (solved,) = timed_step(host, measured, host_s)
         if k >= WARM_UP:
-            n_bytes = len(measured[1])
-            forces: Any = decode(*found)
+            n_bytes = len(measured)
+            forces: Any = decode(*received(solved))
             n_unchanged += sum(forces.unchanged)
             solve_s.append(1e-9 * sum(forces.solve_ns))
     return {
@@ -72,12 +73,10 @@ def made_node(type_name: str, values: dict[str, Any]) -> Any:
     return cls(cls.Settings.from_mapping(values), Context(type_name, ManualClock(1)))
 
 
-def timed_step(
-    node: Any, parts: tuple[bytes, bytes], spent: list[float]
-) -> list[tuple[bytes, bytes]]:
+def timed_step(node: Any, buffer: bytes, spent: list[float]) -> list[bytes]:
     """Let a node process a message in its wire form; note the processor time."""
     begin_s = time.process_time()
-    message: Message = decode(*parts)
-    sent = [encode(each) for each in node.step(message)]
+    message: Message = decode(*received(buffer))
+    sent = [wire_bytes(each) for each in node.step(message)]
     spent.append(time.process_time() - begin_s)
     return sent

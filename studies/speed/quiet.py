@@ -8,9 +8,10 @@ from typing import Any
 
 import numpy as np
 
-from sparseskin.messages import Message, decode, encode
+from sparseskin.messages import Message, decode
 from sparseskin.messages.frames import Taxels
 from sparseskin.messages.state import SkinState
+from sparseskin.messages.wire import received, wire_bytes
 from sparseskin.nodes.compressor.change import FALSE_SENDS
 from sparseskin.nodes.numerics.arrays import Floats
 from sparseskin.nodes.sensor.noise import NoiseModel
@@ -109,10 +110,10 @@ class _Nodes:
         if len(self.edge_s) == WARM_UP:
             self.before_s = sum(self.host_s)
         n_bytes = 0
-        for measured in timed_step(self._edge, encode(taxels), self.edge_s):
-            n_bytes += len(measured[1])
+        for measured in timed_step(self._edge, wire_bytes(taxels), self.edge_s):
+            n_bytes += len(measured)
             for answer in timed_step(self._host, measured, self.host_s):
-                message: Any = decode(*answer)
+                message: Any = decode(*received(answer))
                 message.split(self._by_name)
                 self.forces = self._by_name["p0"]
         return n_bytes

@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import os
 from importlib.util import find_spec
+from itertools import product
 from pathlib import Path
 
 import numpy as np
@@ -30,7 +31,11 @@ from .bodies import time_body
 from .quiet import QUIET_S, WAYS, time_quiet
 
 SIDES, QUICK_SIDES = (20, 40, 64, 128), (20, 40)
-PATCH_SIDE, PATCHES, QUICK_PATCHES, IDLE = 64, (1, 4, 16, 64, 244), (1, 4), 0.9
+PATCH_SIDE = 64
+PATCHES = (1, 4, 16, 64, 244)
+QUICK_PATCHES = (1, 4)
+LOADS = {0.0: "all pressed", 0.75: "a quarter pressed", 1.0: "at rest"}
+"""Part of the patches that nothing presses, and what a body is then."""
 GOAL, GOAL_HZ = 244, 1000
 """Patches of a million taxels, and frames a second."""
 LINK_BYTES_HZ = 1e9 / 8
@@ -82,19 +87,19 @@ def solvers(page: Page, quick: bool, seed: int) -> list[str]:
 def bodies(page: Page, quick: bool, seed: int) -> str:
     """Bodies of many patches: time by the number of taxels, and what a million would take."""
     common: dict[str, float] = {"side": PATCH_SIDE, "seed": seed}
-    points = [
-        {**common, "patches": n, "idle": idle, "n_frames": 12 if quick or n >= 64 else 60}
-        for idle in (0.0, IDLE)
-        for n in (QUICK_PATCHES if quick else PATCHES)
-    ]
+    numbers = QUICK_PATCHES if quick else PATCHES
+    points = []
+    for idle, n in product(LOADS, numbers):
+        n_frames = 12 if quick or n >= 64 else 60
+        points.append({**common, "patches": n, "idle": idle, "n_frames": n_frames})
     rows = pd.DataFrame(compute_rows(time_body, points, page.out, TIMED_ON, "bodies"))
     page.csv("bodies", rows)
-    us, patch_hz = rows["edge_us"] + rows["host_us"], GOAL * GOAL_HZ
+    us = rows["edge_us"] + rows["host_us"]
     table = pd.DataFrame(
         {
             "taxels": [f"{n * PATCH_SIDE**2:,}" for n in rows["patches"]],
             "patches": rows["patches"],
-            "idle": cells(rows, "{idle:.0%}"),
+            "load": rows["idle"].map(LOADS),
             "iterations": rows["iterations"],
             "edge, us a patch": cells(rows, "{edge_us:.0f}"),
             "host, us a patch": cells(rows, "{host_us:.0f}"),
@@ -107,13 +112,20 @@ def bodies(page: Page, quick: bool, seed: int) -> str:
     solved = rows[rows["idle"] == 0]
     spent = np.log((solved["edge_us"] + solved["host_us"]) * solved["patches"])
     slope = float(np.polyfit(np.log(solved["patches"]), spent, 1)[0])
+    patch_hz = GOAL * GOAL_HZ
+    largest = rows[rows["patches"] == rows["patches"].max()]
+    cores = largest.assign(
+        load=largest["idle"].map(LOADS),
+        edges=1e-6 * patch_hz * largest["edge_us"],
+        hosts=1e-6 * patch_hz * largest["host_us"],
+    )
     last = solved.iloc[-1]
-    edges, hosts = (1e-6 * patch_hz * last[name] for name in ("edge_us", "host_us"))
     links = last["bytes"] / last["patches"] * patch_hz / LINK_BYTES_HZ
     line = (
-        f"Time grows with taxels to the power {slope:.2f}. A million taxels at 1 kHz take "
-        f"{edges:.0f} cores of edges and {hosts:.0f} of hosts as fast as this one, and "
-        f"{links:.0f} gigabit links in place of {RATIO * links:.0f}."
+        f"Time grows with taxels to the power {slope:.2f}. A million taxels at 1 kHz take, in "
+        f"cores of edges + hosts as fast as this one: "
+        f"{', '.join(cells(cores, '{load} {edges:.0f} + {hosts:.0f}'))}; and {links:.0f} gigabit "
+        f"links in place of {RATIO * links:.0f}."
     )
     page.section("Bodies of many patches", table, line, side=PATCH_SIDE)
     return line
@@ -121,7 +133,9 @@ def bodies(page: Page, quick: bool, seed: int) -> str:
 
 def quiet_body(page: Page, quick: bool, seed: int) -> str:
     """A body of which one patch is touched, by three ways to send it."""
-    size = {"patches": 16 if quick else 64, "side": 16, "n_frames": 100 if quick else 2000}
+    size = {"patches": 64, "side": 16, "n_frames": 2000}
+    if quick:
+        size |= {"patches": 16, "n_frames": 100}
     points = [{"way": way, **size, "seed": seed} for way in WAYS]
     rows = pd.DataFrame(compute_rows(time_quiet, points, page.out, TIMED_ON, "quiet"))
     page.csv("quiet", rows)

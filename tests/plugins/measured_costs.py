@@ -11,8 +11,9 @@ from typing import Any
 
 import numpy as np
 
-from sparseskin.messages import Measurements, Message, SkinState, Taxels, encode
+from sparseskin.messages import Measurements, Message, SkinState, Taxels
 from sparseskin.messages.skin import PAPER_F_MAX_N, Skin
+from sparseskin.messages.wire import wire_bytes
 from sparseskin.nodes.sensor.noise import NoiseModel
 from sparseskin.plugins.design.models import FIGURES
 from sparseskin.plugins.design.strategies import LARGER, SINGLE, STRATEGIES, Strategy
@@ -76,7 +77,7 @@ def _measure(
     )
     for k, (_, forces) in enumerate(frames):
         taxels = Taxels(stamp_ns=1_000_000 * (k + 1), patch="skin", forces=forces)
-        timed_step(host, timed_step(edge, encode(taxels), spent["edge"])[0], spent["host"])
+        timed_step(host, timed_step(edge, wire_bytes(taxels), spent["edge"])[0], spent["host"])
 
     def median_us(station: str, first: int, last: int | None) -> float:
         return 1e6 * float(np.median(spent[station][first:last]))

@@ -6,6 +6,7 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
+import numpy.typing as npt
 
 from sparseskin.messages import Reason
 from sparseskin.messages.quantised import step_of
@@ -42,7 +43,8 @@ class _Subset:
     """State of the rows of a subset."""
 
     y: Floats  # last measurements
-    n_repeats: np.ndarray[tuple[int], np.dtype[np.int64]]  # of each measurement, in a row
+    #: How often each measurement repeated, in a row; None: none did.
+    n_repeats: npt.NDArray[np.int64] | None = None
 
 
 class RepeatWatch:
@@ -96,7 +98,7 @@ class RepeatWatch:
         if has_noise:
             reason = self._reason(y)
         if state is None:
-            self._subsets[subset] = _Subset(y, np.zeros(y.size, dtype=np.int64))
+            self._subsets[subset] = _Subset(y)
         elif reason is None and not is_repeated:
             self._compare(state, y, has_noise)
         return reason
@@ -126,22 +128,32 @@ class RepeatWatch:
         """Compare the measurements with the last ones of their subset."""
         repeats = state.y == y
         state.y = y
-        state.n_repeats = np.where(repeats, state.n_repeats + 1, 0)
-        chance = max(1 - self._lively, RARE)
-        if has_noise:
-            if step_of(y) > 0:
-                # The mean probability to repeat is at least the square of the largest one.
-                chance = math.sqrt(chance)
-            # After so many repeats no chance is left.
-            n_needed = math.ceil(math.log(CHANCE) / math.log(min(chance, MOST_LIKELY)))
-            faulty = state.n_repeats >= n_needed
-            if faulty.any():
-                self.faulty = faulty
+        n_equal = int(np.count_nonzero(repeats))
+        if n_equal:
+            if state.n_repeats is None:
+                state.n_repeats = np.zeros(y.size, dtype=np.int64)
+            state.n_repeats = np.where(repeats, state.n_repeats + 1, 0)
+            if has_noise:
+                self._mark(state.n_repeats, step_of(y) > 0)
+        else:
+            state.n_repeats = None
 
         self._n_compared += 1
         rate = max(LIVELY_RATE, 1 / self._n_compared)
-        changed = 1 - np.count_nonzero(repeats) / y.size
+        changed = 1 - n_equal / y.size
         self._lively += rate * (changed - self._lively)
+
+    def _mark(self, n_repeats: npt.NDArray[np.int64], is_quantised: bool) -> None:
+        """Mark measurements that repeated too often for noise, by their numbers of repeats."""
+        chance = max(1 - self._lively, RARE)
+        if is_quantised:
+            # The mean probability to repeat is at least the square of the largest one.
+            chance = math.sqrt(chance)
+        # After so many repeats no chance is left.
+        n_needed = math.ceil(math.log(CHANCE) / math.log(min(chance, MOST_LIKELY)))
+        faulty = n_repeats >= n_needed
+        if faulty.any():
+            self.faulty = faulty
 
 
 def least_ties(m: int, is_quantised: bool) -> int:

@@ -190,8 +190,12 @@ class FaultWatch:
         if mean is None:
             mean = np.zeros(phi.m, dtype=np.float32)
             self._doubts[phi.fingerprint] = mean
-        was_doubted = mean > DOUBTED
-        mean += np.float32(DOUBT_RATE) * (doubt - mean)
+        last_mean = mean
+        mean = last_mean + np.float32(DOUBT_RATE) * (doubt - last_mean)
+        self._doubts[phi.fingerprint] = mean
+        if not self._rows_doubted and mean.max() <= DOUBTED:
+            return
+        was_doubted = last_mean > DOUBTED
         is_doubted = mean > DOUBTED
         if np.array_equal(is_doubted, was_doubted):
             return
