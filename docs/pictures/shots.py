@@ -63,12 +63,26 @@ def shoot(page: Any, name: str) -> None:
 
     path = DOCS / f"page_{name}.png"
     with Image.open(io.BytesIO(page.get_screenshot_as_png())) as image:
-        image.convert("RGB").quantize(256, dither=Image.Dither.NONE).save(path, optimize=True)
+        paletted(image, 256).save(path, optimize=True)
     print(f"{path.relative_to(DOCS.parent.parent)}", flush=True)
+
+
+def paletted(image: Any, colours: int) -> Any:
+    """A smaller picture, which keeps the few, far colours of a colour bar."""
+    from PIL import Image
+
+    method = Image.Quantize.MAXCOVERAGE
+    return image.convert("RGB").quantize(colours, method=method, dither=Image.Dither.NONE)
 
 
 def n_drawn(page: Any) -> int:
     return int(page.execute_script("return Number(document.body.dataset.drawn ?? 0)"))
+
+
+def is_marked(page: Any) -> bool:
+    """True if a map is marked, as one that is old on a busy host."""
+    marks = "return document.querySelectorAll('[data-mark]:not([data-mark=\"\"])').length"
+    return bool(page.execute_script(marks))
 
 
 def touched(page: Any) -> bool:
@@ -79,11 +93,10 @@ def touched(page: Any) -> bool:
 
 def hero(page: Any, folder: Path) -> None:
     """A wrench is dragged over the skin, and the solver trusts what it makes of it."""
-    marks = "return document.querySelectorAll('[data-mark]:not([data-mark=\"\"])').length"
     with launched(page, folder, "drag_wrench_40", "sensor.rate_hz=50"):
         wait_until(lambda: n_frames(page) >= DRAGGED_FROM, "the drag")
         wait_until(
-            lambda: touched(page) and not text(page, "#notices") and not page.execute_script(marks),
+            lambda: touched(page) and not text(page, "#notices") and not is_marked(page),
             "a trusted contact",
         )
         shoot(page, "live")
@@ -106,6 +119,9 @@ def contact(page: Any, folder: Path) -> None:
         shot = {"format": "png", "clip": {**box, "scale": 1}}
         began_s = time.monotonic()
         while (now_s := time.monotonic() - began_s) < CONTACT_S:
+            if is_marked(page):
+                time.sleep(0.02)
+                continue
             data = page.execute_cdp_cmd("Page.captureScreenshot", shot)["data"]
             with Image.open(io.BytesIO(base64.b64decode(data))) as image:
                 frames.append(image.convert("RGB"))
@@ -116,7 +132,7 @@ def contact(page: Any, folder: Path) -> None:
     ends_s = [*times_s[1:], CONTACT_S]
     durations = [round(1e3 * (b - a)) for a, b in zip(times_s, ends_s, strict=True)]
     # One palette, of a frame in contact, so that what stands still is the same bytes.
-    palette = frames[-1].quantize(colors=COLOURS, dither=Image.Dither.NONE)
+    palette = paletted(frames[-1], COLOURS)
     small = [one.quantize(palette=palette, dither=Image.Dither.NONE) for one in frames]
     small[0].save(
         path, save_all=True, append_images=small[1:], duration=durations, loop=0, optimize=True
@@ -165,7 +181,7 @@ def overview(page: Any, folder: Path) -> None:
 
 
 def torso(page: Any, folder: Path) -> None:
-    """A body is pressed all round: its taxels in 3-D, zoomed to the contact and back."""
+    """A body is pressed all round: its taxels in 3-D, zoomed to the contact."""
     size = {"width": 1280, "height": 720, "deviceScaleFactor": 1, "mobile": False}
     page.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", size)
     caption = '[data-panel="reconstruction"] figcaption'
@@ -177,6 +193,10 @@ def torso(page: Any, folder: Path) -> None:
             ),
             "a contact on the near side",
         )
+        # The view is turned to the contact, which may have moved to the edge of what is seen.
+        page.execute_script("document.getElementById('zoom').click()")
+        before = n_drawn(page)
+        wait_until(lambda: n_drawn(page) > before + 5, "the view of the contact")
         shoot(page, "torso")
 
 
