@@ -129,7 +129,8 @@ def test_wrong_steps_are_refused(step):
     topic, description, sound, data = pieces(
         Measurements(stamp_ns=1, patch="skin", y=y, phi="0" * 16)
     )
-    packed = sound[:16] + struct.pack("<d", step) + sound[24:]
+    # Behind three numbers: stamp, number of the message, quiet frames.
+    packed = sound[:24] + struct.pack("<d", step) + sound[32:]
     with pytest.raises(MessageError):
         decode(topic, payload(description, packed, data))
 
