@@ -150,9 +150,6 @@ class Sensed(Frames):
     reason: tuple[str, ...] = omitted(REASONS, ())
     """Why a patch is not trusted: a `Reason`, or a word that another version of this program wrote;
     "" else, or not stated. What the sensor states of its readings goes on with the frame."""
-    quiet: int = omitted(Integer(), 0)
-    """Number of frames so far, of this run of the compressor, that it did not send because nothing
-    had changed."""
 
     def validate(self) -> None:
         super().validate()
@@ -227,6 +224,9 @@ class Measurements(Sensed):
     places: Bytes | None = omitted(BITS)
     nodes: Bytes | None = omitted(BITS)
     unchanged: tuple[bool, ...] = omitted(UNCHANGED, ())
+    quiet: int = omitted(Integer(), 0)
+    """Number of frames so far, of this run of the compressor, that it did not send because nothing
+    had changed."""
 
     def validate(self) -> None:
         super().validate()
@@ -288,6 +288,8 @@ class Reconstruction(Sensed):
     unchanged: tuple[bool, ...] = omitted(UNCHANGED, ())
     """True where measurements changed by no more than their noise: the frame was not solved, and
     its forces are those of the frame before."""
+    quiet: int = omitted(Integer(), 0)
+    """That of the measurements."""
 
     def validate(self) -> None:
         super().validate()

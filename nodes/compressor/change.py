@@ -377,7 +377,8 @@ class ChangeWatch:
         self._total[begin] = readings[begin]
         self._k[begin] = 1
 
-        joins: Mask = np.logical_not(exceed) & (n < LEARNT * self.length)
+        joins = np.logical_not(exceed)
+        joins &= n < LEARNT * self.length
         share = (BLOCK / (n[joins] + BLOCK)).astype(np.float32)
         self._reference[patches[joins]] += differences[joins] * share[:, np.newaxis, np.newaxis]
         self._n[patches[joins]] += BLOCK

@@ -129,7 +129,9 @@ def test_wrong_steps_are_refused(step):
     topic, description, sound, data = pieces(
         Measurements(stamp_ns=1, patch="skin", y=y, phi="0" * 16)
     )
-    packed = sound[:16] + struct.pack("<d", step) + sound[24:]
+    right = struct.pack("<d", y.step)
+    assert sound.count(right) == 1
+    packed = sound.replace(right, struct.pack("<d", step))
     with pytest.raises(MessageError):
         decode(topic, payload(description, packed, data))
 

@@ -15,7 +15,7 @@ from sparseskin.messages import Reconstruction
 
 EVERY_FRAME = ("--set", "reconstructor.depth=0")
 SLOWLY = ("--set", "sensor.rate_hz=20", "--set", "reconstructor.iterations=3", *EVERY_FRAME)
-NONE_MISSING = {"skipped": 0, "lost": 0, "unpaired": 0}
+NONE_MISSING = {"skipped": 0, "quiet": 0, "lost": 0, "unpaired": 0}
 TAP = """
 import numpy as np
 from sparseskin.nodes.node import Node

@@ -7,6 +7,7 @@ import pytest
 from bags import PERIOD_NS, chain, skin_state
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy.stats import chi2, norm
 
 from sparseskin.messages import Contacts, Measurements, PhiState, Reconstruction, Taxels
 from sparseskin.nodes.clock import ManualClock
@@ -70,8 +71,7 @@ def test_squares_sum_all_taxels_at_every_level(n_rows, n_cols):
 def test_bounds_lie_between_closed_forms(n, z):
     # One clipped reading exceeds z as often as a normal one; many are nearly normal.
     assert CLIPPED < variance_clipped(n, z) < 1
-    # Wilson and Hilferty's quantile of a chi-square distribution.
-    quantile = n * (1 - 2 / (9 * n) + z * math.sqrt(2 / (9 * n))) ** 3
+    quantile = chi2.isf(norm.sf(z), n)
     assert energy_bound(n, 0, z) > 0.99 * quantile
     assert energy_bound(0, n, z) > energy_bound(n, 0, z)
 

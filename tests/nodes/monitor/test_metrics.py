@@ -171,7 +171,7 @@ def test_lost_frames_are_those_sensed_but_not_reconstructed():
     metrics.end("taxels", 2)  # one that counts fewer than arrived removes none
     metrics.end("taxels", 10)
     metrics.end("reconstruction", 9)
-    counts = {"sensed": 10, "reconstructed": 9, "skipped": 0, "lost": 1, "unpaired": 1}
+    counts = {"sensed": 10, "reconstructed": 9, "skipped": 0, "quiet": 0, "lost": 1, "unpaired": 1}
     assert metrics.summary()["frames"] == counts
 
 

@@ -158,7 +158,7 @@ def test_a_number_of_frames_is_played_with_all_their_messages(recording, tmp_pat
     bus.check()
     frames = bus.reports()["monitor"]["patches"]["skin"]["frames"]
     counts = {"sensed": n_frames, "reconstructed": n_frames}
-    assert frames == counts | {"skipped": 0, "lost": 0, "unpaired": 0}
+    assert frames == counts | {"skipped": 0, "quiet": 0, "lost": 0, "unpaired": 0}
     assert bus.reports()["player"]["played"]["frames"] == n_frames
     assert bus.hosts["player"].counts.published["/skin/measurements"] == n_frames
 
