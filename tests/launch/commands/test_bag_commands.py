@@ -81,7 +81,7 @@ def test_recover_makes_a_whole_bag_of_what_survived(bag, capsys):
 
 
 def test_a_plain_csv_is_imported_with_what_is_stated(bag):
-    Path("a.csv").write_text("1,2,3,4,5,6\n6,5,4,3,2,1\n")
+    Path("a.csv").write_text("3,1,4,1,5,9\n6,5,4,3,2,1\n")
     stated = ("--n-rows", 2, "--n-cols", 3, "--unit", "N", "--rate-hz", 50)
     assert bag("import", "a.csv", "--out", "a.mcap", *stated) == 0
     state, first, second = decoded(Path("a.mcap"))
