@@ -31,6 +31,7 @@ from .bags.storage import (
     Topic,
     Workspace,
     decompressed,
+    of_whole_pages,
     plain_message,
     with_log,
     workspace_of,
@@ -458,12 +459,14 @@ def open_storage(path: str, work: Workspace) -> Storage:
         begin = file.read(len(SQLITE_MAGIC))
     if begin == SQLITE_MAGIC:
         complete = with_log(path, work)
-        return Db3Storage(complete, path, has_log=complete != path)
+        if complete != path:
+            return Db3Storage(complete, path, has_log=True)
+        return Db3Storage(of_whole_pages(path, work), path)
     plain = decompressed(path, work)
     with reading(plain) as file:
         begin = file.read(len(SQLITE_MAGIC))
     if begin == SQLITE_MAGIC:
-        return Db3Storage(plain, path)
+        return Db3Storage(of_whole_pages(plain, work), path)
     if begin.startswith(MCAP_MAGIC):
         return McapStorage(plain, path)
     if begin.startswith(BAG_MAGIC):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import shutil
 import tempfile
 import weakref
@@ -24,6 +25,8 @@ MAX_WINDOW_BYTES = 1 << 27
 COPY_BYTES = 1 << 20
 LOGS = ("-wal", "-journal")
 """Endings of the files of SQLite with what is not in the database yet."""
+PAGE_BYTES_AT = 16
+"""Place of the size of a page in the header of a database of SQLite."""
 SPARE_DISK_BYTES = 1 << 26
 CONVERT = "compressed: ros2 bag convert writes it plain"
 
@@ -182,6 +185,31 @@ def with_log(path: str, work: Workspace) -> str:
     for log in logs:
         shutil.copyfile(log, copy + log.name.removeprefix(Path(path).name))
     work.copies[path] = copy
+    return copy
+
+
+def of_whole_pages(path: str, work: Workspace) -> str:
+    """The path of a database; where it is cut off within a page, of a copy of the pages before.
+
+    SQLite reads the missing end of a page as zeros, which would become forces.
+    """
+    key = f"{path} in whole pages"
+    if key in work.copies:
+        return work.copies[key]
+    with reading(path) as file:
+        file.seek(PAGE_BYTES_AT)
+        page_bytes = int.from_bytes(file.read(2), "big")
+    # 65536 does not fit into the two bytes: it is stored as 1.
+    if page_bytes == 1:
+        page_bytes = 1 << 16
+    n_bytes = Path(path).stat().st_size
+    if not page_bytes or n_bytes % page_bytes == 0:
+        return path
+
+    copy = work.path(Path(path).name, n_bytes, path)
+    shutil.copyfile(path, copy)
+    os.truncate(copy, n_bytes // page_bytes * page_bytes)
+    work.copies[key] = copy
     return copy
 
 
