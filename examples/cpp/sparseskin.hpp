@@ -54,6 +54,7 @@ struct Reconstruction : Head {
     std::string phi;        // fingerprint of the measurement matrix
     std::int64_t done_ns = 0;  // time of the reconstruction on the graph's clock, nanoseconds
     std::int64_t skipped = 0;  // frames that the reconstructor skipped before this one
+    std::int64_t quiet = 0;    // frames so far that were not sent, as nothing had changed
     std::vector<std::int64_t> iterations;
     std::vector<double> residual;
     std::vector<std::int64_t> solve_ns;
@@ -263,7 +264,7 @@ inline const Schema& schema_of(const Reconstruction&) {
         "reconstruction",
         2,
         {"patch", "run_id", "names", "phi", "reason"},
-        {{"stamp_ns", 'q'}, {"seq", 'q'}, {"done_ns", 'q'}, {"skipped", 'q'}},
+        {{"stamp_ns", 'q'}, {"seq", 'q'}, {"done_ns", 'q'}, {"skipped", 'q'}, {"quiet", 'q'}},
         {{"iterations", 'q'}, {"residual", 'd'}, {"solve_ns", 'q'}, {"error", 'd'},
          {"trusted", '?'}, {"unchanged", '?'}},
         {{"missing", 'u'}, {"forces", 'f'}, {"sd", 'f'}},
@@ -429,6 +430,7 @@ inline void convert(const Frame& frame, Reconstruction& found) {
     found.phi = frame.texts.at("phi");
     found.done_ns = frame.wholes.at("done_ns")[0];
     found.skipped = frame.wholes.at("skipped")[0];
+    found.quiet = frame.wholes.at("quiet")[0];
     found.iterations = frame.wholes.at("iterations");
     found.residual = frame.reals.at("residual");
     found.solve_ns = frame.wholes.at("solve_ns");

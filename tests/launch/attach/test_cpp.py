@@ -151,6 +151,7 @@ def as_reconstruction(message):
         "sd": [] if message.sd is None else plain(message.sd),
         "phi": message.phi,
         "skipped": message.skipped,
+        "quiet": message.quiet,
         **{key: list(getattr(message, key)) for key in keys},
     }
 

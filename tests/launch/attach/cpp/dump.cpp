@@ -100,6 +100,7 @@ void print(const Reconstruction& found) {
     field("phi", found.phi);
     field("done_ns", found.done_ns);
     field("skipped", found.skipped);
+    field("quiet", found.quiet);
     field("iterations", found.iterations);
     field("residual", found.residual);
     field("solve_ns", found.solve_ns);
