@@ -291,8 +291,10 @@ class ChangeWatch:
         """
         send = self.sending.copy()
         if not send.all():
-            send |= self._departs(readings)
-            self._begin(send & ~self.sending)
+            departs = self._departs(readings)
+            if departs.any():
+                send |= departs
+                self._begin(departs)
 
         self._total += readings
         self._k += 1
@@ -307,16 +309,15 @@ class ChangeWatch:
             send[self._end_quiet(quiet, readings)] = True
         return send
 
-    def _begin(self, patches: Mask) -> None:
-        """Begin to send some patches."""
-        if patches.any():
-            self.sending |= patches
-            self._blocks[patches] = 1
-            self._total[patches] = 0.0
-            self._k[patches] = 0
+    def _begin(self, patches: Mask | Indices) -> None:
+        """Begin to send some patches: a block of each, of which there is no frame yet."""
+        self.sending[patches] = True
+        self._blocks[patches] = 1
+        self._total[patches] = 0.0
+        self._k[patches] = 0
 
     def _departs(self, readings: Floats) -> Mask:
-        """True where one frame departs from the reference."""
+        """True where one frame of a patch that is not sent departs from its reference."""
         difference = readings - self._reference
         widened = 1 + 1 / self._n
         sums = self._bounds.squares.sums(difference)
@@ -348,13 +349,14 @@ class ChangeWatch:
         self._total[patch] = 0.0
         self._k[patch] = 0
 
+        if self._blocks[patch] > 0:
+            return
+
         bounds = self._bounds.of(mean[np.newaxis])
         self._of.frame[patch] = bounds.frame
         self._of.block[patch] = bounds.block
         self._of.weights[patch] = bounds.weights
         self._of.energy[patch] = bounds.energy[0]
-        if self._blocks[patch] > 0:
-            return
         difference = (late - early)[np.newaxis]
         if not self._exceed(np.array([patch]), difference, np.array([4 / length]))[0]:
             self._reference[patch] = mean
@@ -372,8 +374,8 @@ class ChangeWatch:
 
         exceed = self._exceed(patches, differences, 1 / BLOCK + 1 / n)
         begin = patches[exceed]
-        self.sending[begin] = True
-        self._blocks[begin] = 1
+        self._begin(begin)
+        # This frame is the first of the block.
         self._total[begin] = readings[begin]
         self._k[begin] = 1
 

@@ -109,3 +109,13 @@ def of_nine(field: npt.NDArray[Any], combine: np.ufunc) -> npt.NDArray[Any]:
     rows = combine(combine(padded[:-2], padded[1:-1]), padded[2:])
     combined: npt.NDArray[Any] = combine(combine(rows[:, :-2], rows[:, 1:-1]), rows[:, 2:])
     return combined
+
+
+def mean_of_near(values: Floats, is_known: Mask) -> Floats:
+    """Mean of the known values of each cell and its eight neighbours, 0 where none is known:
+    float32 and bool (n_rows, n_cols) to float32.
+    """
+    n_known = of_nine(is_known.astype(np.float32), np.add)
+    sums = of_nine(np.where(is_known, values, np.float32(0)), np.add)
+    means: Floats = sums / np.maximum(n_known, 1)
+    return means

@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from sparseskin.messages.skin import Skin
-from sparseskin.nodes.numerics.arrays import Floats, Mask, of_nine
+from sparseskin.nodes.numerics.arrays import Floats, Mask, mean_of_near
 
 from .layout.layout import HOLD, MASK, ZERO
 
@@ -80,9 +80,7 @@ class MissingReadings:
             self._lines.append(f"{line}: {self.n_now} at first")
         self.n_cells += self.n_now
         if self._way == MASK:
-            n_neighbours = of_nine(is_number.astype(np.float32), np.add)
-            means = of_nine(filled, np.add) / np.maximum(n_neighbours, 1)
-            filled[missing] = means[missing]
+            filled[missing] = mean_of_near(filled, is_number)[missing]
         elif self._way == HOLD:
             filled[missing] = self._previous[missing]
         self._previous = filled

@@ -8,7 +8,7 @@ import numpy as np
 
 from sparseskin.messages import Reason
 from sparseskin.messages.skin import Skin
-from sparseskin.nodes.numerics.arrays import Floats, Indices, Mask, of_nine
+from sparseskin.nodes.numerics.arrays import Floats, Indices, Mask, mean_of_near
 
 from .sign import Margin
 
@@ -134,9 +134,7 @@ class Repeats:
         if not self._is_any_stuck:
             return forces
         works = self._exists.reshape(forces.shape) & ~self.stuck
-        n_working = of_nine(works.astype(np.float32), np.add)
-        sums = of_nine(np.where(works, forces, np.float32(0)), np.add)
-        return np.where(self.stuck, sums / np.maximum(n_working, 1), forces)
+        return np.where(self.stuck, mean_of_near(forces, works), forces)
 
     def _count(self, before: Floats, repeated: Indices, margin: float) -> None:
         """Add the pairs of readings of untouched taxels to the counts."""

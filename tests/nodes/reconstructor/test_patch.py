@@ -26,6 +26,22 @@ SKIN |= {"sigma_mid": NOISE.sigma_mid, "sigma_end": NOISE.sigma_end}
 FRAMES = noisy(sliding_disc(SHAPE, 20, touch_at=3))
 
 
+def announced(phi, rows="fixed"):
+    """The message of a compressor with that Phi."""
+    return PhiState(
+        stamp_ns=0,
+        patch="skin",
+        kind="sbhe",
+        n=phi.n,
+        m=phi.m,
+        block=32,
+        seed=0,
+        fingerprint=phi.fingerprint,
+        rows=rows,
+        rule=phi.rule,
+    )
+
+
 class Bench:
     """A patch and the row subsets of its Phi."""
 
@@ -34,20 +50,10 @@ class Bench:
         settings = ReconstructorSettings(**{"fast": "off"} | stated)
         self.patch = Patch(settings, self.lines.append)
         self.subsets = row_subsets(PHI, rows)
-        announced = PhiState(
-            stamp_ns=0,
-            patch="skin",
-            kind="sbhe",
-            n=PHI.n,
-            m=PHI.m,
-            block=32,
-            seed=0,
-            fingerprint=self.subsets[0].fingerprint,
-            rows=rows,
-            rule=PHI.rule,
-        )
         state = skin_state(**SKIN, rate_hz=rate_hz)
-        self.stated = self.patch.set_up(settings, self.subsets, state, announced, live)
+        self.stated = self.patch.set_up(
+            settings, self.subsets, state, announced(self.subsets[0], rows), live
+        )
         self.patch.set_noise(state)
         self.n_frames = 0
 
@@ -196,17 +202,7 @@ def test_another_solver_in_the_middle_of_a_stream_begins_with_the_last_forces():
     for readings in FRAMES:
         before = bench.frame(readings)
     settings = ReconstructorSettings(solver="fista", basis="haar", iterations=1, fast="off")
-    announced = PhiState(
-        stamp_ns=0,
-        patch="skin",
-        kind="sbhe",
-        n=PHI.n,
-        m=PHI.m,
-        block=32,
-        seed=0,
-        fingerprint=PHI.fingerprint,
-    )
-    bench.patch.set_up(settings, [PHI], skin_state(**SKIN), announced, live=False)
+    bench.patch.set_up(settings, [PHI], skin_state(**SKIN), announced(PHI), live=False)
     after = bench.frame(FRAMES[-1])
     change = np.linalg.norm(after.forces - before.forces)
     assert change < 0.2 * np.linalg.norm(before.forces)
