@@ -22,8 +22,15 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parent.parent
 LEFT_OUT = ("plugins/", "tests/plugins/", "src/sparseskin/plugins")
 FEW = (
-    *("tests/test_package.py", "tests/test_extensions.py", "tests/nodes/sensor/test_sources.py"),
-    *("tests/nodes/sensor/files/test_arrays.py", "tests/nodes/recorder/convert/test_exports.py"),
+    *(
+        "tests/test_package.py",
+        "tests/test_extensions.py",
+        "tests/nodes/sensor/test_sources.py",
+    ),
+    *(
+        "tests/nodes/sensor/files/test_arrays.py",
+        "tests/nodes/recorder/convert/test_exports.py",
+    ),
     "tests/launch/commands/test_lists.py",
 )
 """Tests of what plug-ins extend."""
@@ -51,14 +58,18 @@ assert not [name for name in sys.modules if name.startswith("sparseskin.plugins"
 def copy_core(to: Path) -> None:
     """Copy the repository without the plug-ins, and without what pyproject.toml states of them."""
     command = ["git", "ls-files", "-z", "--cached", "--others", "--exclude-standard"]
-    listed = subprocess.run(command, cwd=ROOT, capture_output=True, check=True).stdout.decode()
+    listed = subprocess.run(
+        command, cwd=ROOT, capture_output=True, check=True
+    ).stdout.decode()
     for name in filter(None, listed.split("\0")):
         if (ROOT / name).exists() and not name.startswith(LEFT_OUT):
             (to / name).parent.mkdir(parents=True, exist_ok=True)
             shutil.copy2(ROOT / name, to / name, follow_symlinks=False)
     project = to / "pyproject.toml"
     lines = project.read_text(encoding="utf-8").splitlines(keepends=True)
-    project.write_text("".join(line for line in lines if "sparseskin.plugins" not in line))
+    project.write_text(
+        "".join(line for line in lines if "sparseskin.plugins" not in line)
+    )
 
 
 def make_environment(core: Path) -> Path:
@@ -69,12 +80,17 @@ def make_environment(core: Path) -> Path:
     site = Path(sysconfig.get_path("purelib", vars={"base": str(core / ".venv")}))
     # Paths alone: the files *.pth of the other environment, that of its sparseskin, are not read.
     (site / "core.pth").write_text(f"{core / 'src'}\n{sysconfig.get_path('purelib')}\n")
-    project = tomllib.loads((core / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    project = tomllib.loads((core / "pyproject.toml").read_text(encoding="utf-8"))[
+        "project"
+    ]
     found = site / f"sparseskin-{project['version']}.dist-info"
     found.mkdir()
-    (found / "METADATA").write_text(f"Name: sparseskin\nVersion: {project['version']}\n")
+    (found / "METADATA").write_text(
+        f"Name: sparseskin\nVersion: {project['version']}\n"
+    )
     groups = [
-        f"[{group}]\n" + "".join(f"{name} = {target}\n" for name, target in points.items())
+        f"[{group}]\n"
+        + "".join(f"{name} = {target}\n" for name, target in points.items())
         for group, points in project["entry-points"].items()
     ]
     (found / "entry_points.txt").write_text("\n".join(groups))
@@ -86,9 +102,15 @@ def main(words: list[str]) -> int:
         core = Path(folder)
         copy_core(core)
         python = make_environment(core)
-        environment = {**os.environ, "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
+        environment = {
+            **os.environ,
+            "OMP_NUM_THREADS": "1",
+            "OPENBLAS_NUM_THREADS": "1",
+        }
         environment.pop("PYTHONPATH", None)
-        done = subprocess.run([python, "-c", IMPORT_ALL], cwd="/", env=environment, check=False)
+        done = subprocess.run(
+            [python, "-c", IMPORT_ALL], cwd="/", env=environment, check=False
+        )
         if done.returncode:
             return done.returncode
         if words[:1] == ["all"]:
@@ -97,7 +119,17 @@ def main(words: list[str]) -> int:
             chosen = [*FEW, "-m", "not slow", "-x"]
             # None of these needs compiled loops, which would be compiled for the copy anew.
             environment["SPARSESKIN_FAST"] = "off"
-        tests = [python, "-m", "pytest", "-q", "-p", "no:cacheprovider", "-n", "2", *chosen]
+        tests = [
+            python,
+            "-m",
+            "pytest",
+            "-q",
+            "-p",
+            "no:cacheprovider",
+            "-n",
+            "2",
+            *chosen,
+        ]
         return subprocess.run(tests, cwd=core, env=environment, check=False).returncode
 
 

@@ -39,7 +39,11 @@ def kernel_of(name: str | None) -> str | None:
         environment["OPENBLAS_CORETYPE"] = name
     code = "import numpy as np; a = np.ones((40, 40), np.float32); assert (a @ a == 40).all()"
     done = subprocess.run(
-        [sys.executable, "-c", code], env=environment, capture_output=True, text=True, check=False
+        [sys.executable, "-c", code],
+        env=environment,
+        capture_output=True,
+        text=True,
+        check=False,
     )
     found = re.findall(r"^Core: (\w+)", done.stdout + done.stderr, flags=re.MULTILINE)
     return found[-1] if done.returncode == 0 and found else None
@@ -48,7 +52,9 @@ def kernel_of(name: str | None) -> str | None:
 def main() -> int:
     own = kernel_of(None)
     names = {kernel_of(name): name for name in reversed(CANDIDATES)}
-    names = {kernel: name for kernel, name in names.items() if kernel not in (None, own)}
+    names = {
+        kernel: name for kernel, name in names.items() if kernel not in (None, own)
+    }
     for kernel, name in (names or {own: ""}).items():
         print(f"OpenBLAS kernel {kernel} (OPENBLAS_CORETYPE={name})", flush=True)
         pytest = [sys.executable, "-m", "pytest", "-q", "-n", "auto", "-m", "not slow"]

@@ -81,7 +81,9 @@ class _Recorder:
         self._reached[report.nodeid] |= marks
         if report.when == "setup":
             # A fixture of the whole file may have been made: the other tests use it, too.
-            self._shared.setdefault(report.nodeid.partition("::")[0], set()).update(marks)
+            self._shared.setdefault(report.nodeid.partition("::")[0], set()).update(
+                marks
+            )
         if report.failed:
             print(report.longreprtext, file=sys.stderr)
 
@@ -93,7 +95,9 @@ class _Recorder:
         self._result.write_text(json.dumps(tests))
 
     def _shared_by(self, name: str) -> set[str]:
-        return self._shared[_ALL_FILES] | self._shared.get(name.partition("::")[0], set())
+        return self._shared[_ALL_FILES] | self._shared.get(
+            name.partition("::")[0], set()
+        )
 
     def _take(self) -> set[str]:
         marks = set(self._marks.read_text().split())
@@ -122,7 +126,9 @@ class _Quick:
         config.workerinput = {}  # conftest.py compiles loops in the main process of a run alone
         phases = (hypothesis.Phase.explicit, hypothesis.Phase.generate)
         profile = hypothesis.settings.get_profile("busy host")
-        hypothesis.settings.register_profile("mutants", profile, phases=phases, database=None)
+        hypothesis.settings.register_profile(
+            "mutants", profile, phases=phases, database=None
+        )
         hypothesis.settings.load_profile("mutants")
 
 
@@ -132,12 +138,15 @@ def record(tree: Path, paths: Sequence[str]) -> list[Test]:
     marks.write_text("")
     result = tree / "reached.json"
     (tree / "src" / "mutant_reach.py").write_text(REACH)
-    code = _run(tree, [*paths, "-m", "not slow"], [_Recorder(marks, result)], 3600.0, marks)
+    code = _run(
+        tree, [*paths, "-m", "not slow"], [_Recorder(marks, result)], 3600.0, marks
+    )
     if code or not result.is_file():
         print((tree / "output.txt").read_text()[-3000:], file=sys.stderr)
         raise SystemExit("the tests fail without a mutant")
     return [
-        Test(name, s, frozenset(reached)) for name, s, reached in json.loads(result.read_text())
+        Test(name, s, frozenset(reached))
+        for name, s, reached in json.loads(result.read_text())
     ]
 
 
@@ -146,7 +155,9 @@ def first_failure(tree: Path, tests: Sequence[Test]) -> str:
     result = tree / "failed.txt"
     result.unlink(missing_ok=True)
     limit_s = 20.0 + 5.0 * sum(test.seconds for test in tests)
-    code = _run(tree, ["-x", *(test.name for test in tests)], [_FirstFailure(result)], limit_s)
+    code = _run(
+        tree, ["-x", *(test.name for test in tests)], [_FirstFailure(result)], limit_s
+    )
     if not code:
         return ""
     if result.is_file():
@@ -155,7 +166,11 @@ def first_failure(tree: Path, tests: Sequence[Test]) -> str:
 
 
 def _run(
-    tree: Path, arguments: list[str], plugins: list[Any], limit_s: float, marks: Path | None = None
+    tree: Path,
+    arguments: list[str],
+    plugins: list[Any],
+    limit_s: float,
+    marks: Path | None = None,
 ) -> int:
     """Exit code of pytest in the tree; negative if it was killed, after `limit_s` at the latest."""
     mark = f"MUTANT_RUN={os.getpid()}.{time.monotonic_ns()}"

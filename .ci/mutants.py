@@ -47,7 +47,11 @@ MOST_S = 30.0
 #: Quantile of the standard normal distribution for an interval of 90 %.
 QUANTILE = 1.645
 
-_OF_SKIN = ("tests/nodes/reconstructor", "tests/nodes/test_bus.py", "tests/nodes/test_settings.py")
+_OF_SKIN = (
+    "tests/nodes/reconstructor",
+    "tests/nodes/test_bus.py",
+    "tests/nodes/test_settings.py",
+)
 _OF_NODES = ("tests/nodes/test_*.py", "tests/nodes/process", "tests/nodes/player")
 
 
@@ -86,7 +90,8 @@ AREAS = {
     ),
     "recorder": Area(("nodes/recorder",), ("tests/nodes/recorder",)),
     "vendors": Area(
-        ("plugins/vendors/emed.py", "plugins/vendors/tekscan.py"), ("tests/plugins/vendors",)
+        ("plugins/vendors/emed.py", "plugins/vendors/tekscan.py"),
+        ("tests/plugins/vendors",),
     ),
     "chosen rows": Area(("plugins/chosen_rows",), ("tests/plugins/chosen_rows",)),
 }
@@ -125,8 +130,12 @@ class Score:
 
 
 def main() -> int:
-    parser = argparse.ArgumentParser(description="Share of mutants that tests catch, by area.")
-    parser.add_argument("areas", nargs="*", metavar="AREA", help=f"some of {', '.join(AREAS)}")
+    parser = argparse.ArgumentParser(
+        description="Share of mutants that tests catch, by area."
+    )
+    parser.add_argument(
+        "areas", nargs="*", metavar="AREA", help=f"some of {', '.join(AREAS)}"
+    )
     parser.add_argument("--size", type=int, default=PER_AREA, help="mutants an area")
     parser.add_argument("--draw", type=int, default=1, help="number of the sample")
     arguments = parser.parse_args()
@@ -144,10 +153,16 @@ def main() -> int:
             _copy(tree)
             tests = _recorded(tree, members)
             for name in members:
-                score = _score(tree, name, tests, arguments.size, arguments.draw, explained)
+                score = _score(
+                    tree, name, tests, arguments.size, arguments.draw, explained
+                )
                 print(score, *score.lines, sep="\n", flush=True)
                 scores.append(score)
-    low = [score for score in scores if 100 * score.n_caught < WANTED_PERCENT * score.n_sample]
+    low = [
+        score
+        for score in scores
+        if 100 * score.n_caught < WANTED_PERCENT * score.n_sample
+    ]
     for score in low:
         print(f"fewer than {WANTED_PERCENT} %: {score.area}", file=sys.stderr)
     return 1 if low else 0
@@ -171,14 +186,21 @@ def _recorded(tree: Path, names: Sequence[str]) -> list[Test]:
     for module in modules:
         (tree / module).write_text(with_marks((ROOT / module).read_text(), module))
     patterns = AREAS[names[0]].tests
-    tests = record(tree, [str(p.relative_to(ROOT)) for t in patterns for p in sorted(ROOT.glob(t))])
+    tests = record(
+        tree, [str(p.relative_to(ROOT)) for t in patterns for p in sorted(ROOT.glob(t))]
+    )
     for module in modules:
         shutil.copy2(ROOT / module, tree / module)
     return tests
 
 
 def _score(
-    tree: Path, name: str, tests: list[Test], size: int, draw: int, explained: Explanations
+    tree: Path,
+    name: str,
+    tests: list[Test],
+    size: int,
+    draw: int,
+    explained: Explanations,
 ) -> Score:
     """Test a sample of the mutants of an area."""
     codes = {module: (ROOT / module).read_text() for module in _modules(name)}
@@ -215,7 +237,9 @@ def _lot(mutant: Mutant, draw: int) -> str:
 
 def _copy(tree: Path) -> None:
     """Copy the files of the repository, and compiled loops."""
-    listing = subprocess.run(["git", "ls-files"], cwd=ROOT, capture_output=True, check=True)
+    listing = subprocess.run(
+        ["git", "ls-files"], cwd=ROOT, capture_output=True, check=True
+    )
     names = listing.stdout.decode().splitlines()
     compiled = (ROOT / "nodes" / "numerics").glob("__pycache__/*.nb?")
     names += [str(path.relative_to(ROOT)) for path in compiled]
@@ -230,7 +254,9 @@ def _count(
     score: Score, mutant: Mutant, failed: str, explained: Explanations, n_tests: int
 ) -> None:
     entries = explained.get(mutant.module, [])
-    reasons = [e["why"] for e in entries if (e["old"], e["new"]) == (mutant.old, mutant.new)]
+    reasons = [
+        e["why"] for e in entries if (e["old"], e["new"]) == (mutant.old, mutant.new)
+    ]
     if failed:
         score.n_caught += 1
         score.n_by_name += _is_named(failed, mutant.module)
@@ -249,7 +275,9 @@ def tests_of(mutant: Mutant, code: str, tests: list[Test]) -> list[Test]:
     line = statement_of(code, mutant.line)
     if line is None:  # outside functions: it runs when the module is imported
         start = f"{mutant.module}:"
-        marks = {mark for test in tests for mark in test.marks if mark.startswith(start)}
+        marks = {
+            mark for test in tests for mark in test.marks if mark.startswith(start)
+        }
     else:
         marks = {f"{mutant.module}:{line}"}
     reaching = [test for test in tests if test.marks & marks]

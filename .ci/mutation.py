@@ -54,10 +54,15 @@ def _mutant(module: str, code: str, changed: str) -> Mutant:
     while before[start] == after[start]:
         start += 1
     end = 0
-    while end < min(len(before), len(after)) - start and before[-1 - end] == after[-1 - end]:
+    while (
+        end < min(len(before), len(after)) - start
+        and before[-1 - end] == after[-1 - end]
+    ):
         end += 1
     # Equal lines within a change of several lines are not part of it.
-    diff = list(ndiff(before[start : len(before) - end], after[start : len(after) - end]))
+    diff = list(
+        ndiff(before[start : len(before) - end], after[start : len(after) - end])
+    )
     old = " ".join(line[2:].strip() for line in diff if line[0] == "-")
     new = " ".join(line[2:].strip() for line in diff if line[0] == "+")
     return Mutant(module, changed, old, new, start + 1)
@@ -81,7 +86,9 @@ def _is_found_by_types(mutation: Mutation) -> bool:
 def _is_small(mutation: Mutation) -> bool:
     """True where a large number is changed by one."""
     old = mutation.original_node
-    return isinstance(old, libcst.Integer | libcst.Float) and old.evaluated_value >= LARGE
+    return (
+        isinstance(old, libcst.Integer | libcst.Float) and old.evaluated_value >= LARGE
+    )
 
 
 def _is_none(node: libcst.CSTNode | None) -> bool:
@@ -134,6 +141,8 @@ def _bodies(tree: ast.Module) -> list[list[ast.stmt]]:
                 for name in ("body", "orelse", "finalbody"):
                     body = getattr(node, name, None)
                     # Functions within functions are walked twice, their statements listed once.
-                    if isinstance(body, list) and not any(body is other for other in bodies):
+                    if isinstance(body, list) and not any(
+                        body is other for other in bodies
+                    ):
                         bodies.append(body)
     return bodies

@@ -26,9 +26,42 @@ MAX_LINES = 50
 """Lines of a function, without its signature and its docstring."""
 FILLERS = frozenset(
     {
-        *("after", "apart", "before", "both", "chosen", "first", "found", "given", "held", "here"),
-        *("kept", "known", "last", "least", "left", "like", "listed", "made", "more", "most"),
-        *("named", "one", "other", "others", "own", "rest", "said", "shown", "some", "there"),
+        *(
+            "after",
+            "apart",
+            "before",
+            "both",
+            "chosen",
+            "first",
+            "found",
+            "given",
+            "held",
+            "here",
+        ),
+        *(
+            "kept",
+            "known",
+            "last",
+            "least",
+            "left",
+            "like",
+            "listed",
+            "made",
+            "more",
+            "most",
+        ),
+        *(
+            "named",
+            "one",
+            "other",
+            "others",
+            "own",
+            "rest",
+            "said",
+            "shown",
+            "some",
+            "there",
+        ),
         *("wanted", "what"),
     }
 )
@@ -94,7 +127,11 @@ def places_of(tree: ast.Module) -> Iterator[Place]:
             yield from places_of_function(node)
         if isinstance(node, ast.Subscript) and contains(node.slice, ast.NamedExpr):
             yield Place(node.lineno, "assignment within a subscript")
-        if isinstance(node, ast.Name) and isinstance(node.ctx, ast.Store) and node.id in FILLERS:
+        if (
+            isinstance(node, ast.Name)
+            and isinstance(node.ctx, ast.Store)
+            and node.id in FILLERS
+        ):
             yield Place(node.lineno, "name that does not say what it holds")
 
 
@@ -115,16 +152,25 @@ def assigns_several(statement: ast.Assign) -> bool:
     if len(target.elts) < 2:
         return False
     targets = {ast.unparse(element) for element in target.elts}
-    values = {ast.unparse(node) for node in ast.walk(statement.value) if isinstance(node, ast.expr)}
+    values = {
+        ast.unparse(node)
+        for node in ast.walk(statement.value)
+        if isinstance(node, ast.expr)
+    }
     return not targets & values
 
 
 def places_of_function(function: Function) -> Iterator[Place]:
     """Too many parameters, or too many lines."""
     parameters = function.args
-    names = [p.arg for p in (*parameters.posonlyargs, *parameters.args, *parameters.kwonlyargs)]
+    names = [
+        p.arg
+        for p in (*parameters.posonlyargs, *parameters.args, *parameters.kwonlyargs)
+    ]
     if len(set(names) - {"self", "cls"}) > MAX_PARAMETERS:
-        yield Place(function.lineno, f"function of more than {MAX_PARAMETERS} parameters")
+        yield Place(
+            function.lineno, f"function of more than {MAX_PARAMETERS} parameters"
+        )
 
     body = function.body
     if ast.get_docstring(function) is not None:

@@ -22,7 +22,9 @@ from mkdocs.structure.files import File, Files
 
 ROOT = Path(__file__).resolve().parent.parent
 EXAMPLES = sorted((ROOT / "examples").glob("*.py"))
-OUTPUTS = tomllib.loads((ROOT / "docs/reference/examples.toml").read_text(encoding="utf-8"))
+OUTPUTS = tomllib.loads(
+    (ROOT / "docs/reference/examples.toml").read_text(encoding="utf-8")
+)
 #: Pages of the site that stand at the top of the repository.
 TOP_PAGES = {
     "README.md": "index.md",
@@ -46,10 +48,14 @@ def on_config(config: Any, **_: Any) -> Any:
     # A source distribution has the folders alone, without the links to them.
     folders = ("messages", "nodes", "launch", "studies", "plugins")
     links = shutil.ignore_patterns(*folders)
-    shutil.copytree(ROOT / "src" / "sparseskin", package, dirs_exist_ok=True, ignore=links)
+    shutil.copytree(
+        ROOT / "src" / "sparseskin", package, dirs_exist_ok=True, ignore=links
+    )
     for name in folders:
         shutil.copytree(ROOT / name, package / name, dirs_exist_ok=True)
-    (package / "launch" / "__init__.py").touch()  # it has none, and would not be searched
+    (
+        package / "launch" / "__init__.py"
+    ).touch()  # it has none, and would not be searched
     config.plugins["mkdocstrings"].config.handlers["python"]["paths"] = [_tree.name]
     return config
 
@@ -75,7 +81,9 @@ def on_page_markdown(markdown: str, page: Any, **_: Any) -> str:
     if page.file.src_uri == "reference/json.md":
         markdown += "".join(_tables(ROOT / "docs" / "reference" / "json.toml"))
     if page.file.src_uri == "reference/examples.md":
-        cards = "".join(map(_card, sorted(EXAMPLES, key=lambda path: not _picture(path))))
+        cards = "".join(
+            map(_card, sorted(EXAMPLES, key=lambda path: not _picture(path)))
+        )
         markdown += f'\n<div class="grid cards" markdown>\n\n{cards}\n</div>\n'
     for source, page in TOP_PAGES.items():
         markdown = markdown.replace(f"](../../{source}", f"](../{page}")
@@ -97,7 +105,9 @@ def _tables(path: Path) -> Iterator[str]:
 def _mathml(tex: str, display: str) -> str:
     made = convert(" ".join(tex.split()), display=display)
     # Capital Greek letters are upright, as LaTeX has them.
-    made = re.sub(r"<mi>(&#x003[9A][0-9A-F];)</mi>", r'<mi mathvariant="normal">\1</mi>', made)
+    made = re.sub(
+        r"<mi>(&#x003[9A][0-9A-F];)</mi>", r'<mi mathvariant="normal">\1</mi>', made
+    )
     kind = "div" if display == "block" else "span"
     return f'<{kind} class="math">{made}</{kind}>'
 
@@ -112,7 +122,9 @@ def _moved(text: str) -> str:
 
 def _title(path: Path) -> str:
     """First line of the docstring of an example."""
-    return (ast.get_docstring(ast.parse(path.read_text(encoding="utf-8"))) or "").splitlines()[0]
+    return (
+        ast.get_docstring(ast.parse(path.read_text(encoding="utf-8"))) or ""
+    ).splitlines()[0]
 
 
 def _picture(path: Path) -> str:
@@ -131,6 +143,5 @@ def _example_page(path: Path) -> str:
     source = path.read_text(encoding="utf-8")
     printed = OUTPUTS.get(path.stem)
     output = f"It prints:\n\n```text\n{printed}```\n\n" if printed else ""
-    return (
-        f"# {path.name}\n\n{_title(path)}\n\n{_picture(path)}\n\n{output}```python\n{source}```\n"
-    )
+    head = f"# {path.name}\n\n{_title(path)}\n\n{_picture(path)}\n\n"
+    return f"{head}{output}```python\n{source}```\n"

@@ -38,10 +38,14 @@ def reading(t_s, rng, options):
 
 
 def main():
-    parser = argparse.ArgumentParser(description="An emulated FlexiTac on a pseudo terminal.")
+    parser = argparse.ArgumentParser(
+        description="An emulated FlexiTac on a pseudo terminal."
+    )
     parser.add_argument("--rate", type=float, default=100.0, help="frames a second")
     parser.add_argument("--frames", type=int, default=10**9, help="frames to send")
-    parser.add_argument("--clock", action="store_true", help="time stamps, us (u32), and jitter")
+    parser.add_argument(
+        "--clock", action="store_true", help="time stamps, us (u32), and jitter"
+    )
     parser.add_argument("--still", action="store_true", help="the ball does not move")
     about = "seconds before the ball is put on"
     parser.add_argument("--untouched", type=float, metavar="S", default=0.0, help=about)

@@ -24,12 +24,18 @@ ROWS, COLS, RATE_HZ, MINUTES = 16, 32, 10, 10
 RNG = np.random.default_rng(0)
 OFFSET = RNG.uniform(20, 90, (ROWS, COLS))
 GAIN = RNG.lognormal(0, 0.25, (ROWS, COLS))
-WARMING = RNG.lognormal(2, 0.2, (ROWS, COLS))  # counts of drift in the end, 7 in the median
+WARMING = RNG.lognormal(
+    2, 0.2, (ROWS, COLS)
+)  # counts of drift in the end, 7 in the median
 
 
 def counts(forces, time_s=0.0):
     """Readings of 10 bits under forces in newtons, after the skin was in use for some time."""
-    clean = OFFSET + GAIN * 900 * forces / (forces + 1.2) + WARMING * (1 - np.exp(-time_s / 300))
+    clean = (
+        OFFSET
+        + GAIN * 900 * forces / (forces + 1.2)
+        + WARMING * (1 - np.exp(-time_s / 300))
+    )
     found = np.round(np.clip(clean + RNG.normal(0, 2, clean.shape), 0, 1023))
     found[3, 4], found[12, 20] = 0, OFFSET[12, 20]  # broken: a wire, a taxel
     return found
@@ -50,8 +56,19 @@ def pressed(time_s):
 def calibrate(folder: Path):
     """Untouched frames, and a plate on foam that presses all taxels evenly with five weights."""
     np.save(folder / "untouched.npy", frames(0.0))
-    words = ["calibrate", f"file:{folder / 'untouched.npy'}", "--out", str(folder / "palm.toml")]
-    words += ["--untouched", str(folder / "untouched.npy"), "--pitch-mm", "2", "--keep-noise"]
+    words = [
+        "calibrate",
+        f"file:{folder / 'untouched.npy'}",
+        "--out",
+        str(folder / "palm.toml"),
+    ]
+    words += [
+        "--untouched",
+        str(folder / "untouched.npy"),
+        "--pitch-mm",
+        "2",
+        "--keep-noise",
+    ]
     for load in ("1kg", "3kg", "8kg", "16kg", "28kg"):
         newtons = float(load[:-2]) * 9.80665
         np.save(folder / f"{load}.npy", frames(newtons / (ROWS * COLS)))
@@ -101,9 +118,18 @@ def main(out: str = "calibrate.png") -> None:
               f"{rms[0]:>11.1f} ({rms[1]:.1f}){total[~touched].mean():>16.2f}")  # fmt: skip
 
     figure, ax = plt.subplots(figsize=(9, 4), dpi=90, layout="constrained")
-    colours = {"true": "black", **dict(zip(chains, ("#b9b9b9", "#c05a00", "#0b6a9c"), strict=True))}
+    colours = {
+        "true": "black",
+        **dict(zip(chains, ("#b9b9b9", "#c05a00", "#0b6a9c"), strict=True)),
+    }
     for name, total in totals.items():
-        ax.plot(times_s / 60, total, color=colours[name], label=name, lw=2 if name == "true" else 1)
+        ax.plot(
+            times_s / 60,
+            total,
+            color=colours[name],
+            label=name,
+            lw=2 if name == "true" else 1,
+        )
     ax.set(xlabel="minutes", ylabel="total force in N", ylim=(0, 2.2 * true.max()))
     ax.legend(loc="upper left", ncols=2, frameon=False)
     ax.spines[["top", "right"]].set_visible(False)

@@ -37,16 +37,24 @@ def main(out: str = "choosing_m.png") -> None:
             means.append(psnr.mean())
             worst.append(psnr.min())
         (line,) = ax.plot(RATIOS, means, "o-", label=f"{label}, mean")
-        ax.plot(RATIOS, worst, "o:", color=line.get_color(), label=f"{label}, worst frame")
-        good = [ratio for ratio, mean in zip(RATIOS, means, strict=True) if mean >= full]
+        ax.plot(
+            RATIOS, worst, "o:", color=line.get_color(), label=f"{label}, worst frame"
+        )
+        good = [
+            ratio for ratio, mean in zip(RATIOS, means, strict=True) if mean >= full
+        ]
         most = f"N/{max(good):g}" if good else "none of these"
-        print(f"{label}: fewest measurements with the mean PSNR of all taxels or more: {most}")
+        print(
+            f"{label}: fewest measurements with the mean PSNR of all taxels or more: {most}"
+        )
     ax.set(xlabel="N / M", ylabel="PSNR of contact frames in dB", xscale="log")
     ax.set_xticks(RATIOS, [f"{ratio:g}" for ratio in RATIOS])
     ax.minorticks_off()
     ax.legend(frameon=False)
     figure.savefig(out)
-    print(f"mean of all taxels: {full:.1f} dB over {np.count_nonzero(contact)} contact frames")
+    print(
+        f"mean of all taxels: {full:.1f} dB over {np.count_nonzero(contact)} contact frames"
+    )
 
 
 if __name__ == "__main__":

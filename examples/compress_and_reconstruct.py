@@ -19,7 +19,9 @@ def main() -> None:
     measurements = sparseskin.compress(forces, phi, rows="fixed")
     reconstructed = sparseskin.reconstruct(measurements, solver)
     quality = sparseskin.psnr_db(reconstructed, forces)
-    print(f"{forces.size} taxels, {measurements.size} measurements, PSNR {quality:.1f} dB")
+    print(
+        f"{forces.size} taxels, {measurements.size} measurements, PSNR {quality:.1f} dB"
+    )
 
 
 if __name__ == "__main__":

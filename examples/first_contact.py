@@ -44,7 +44,9 @@ def main(out: str = "first_contact.png") -> None:
     for label, frames in estimates.items():
         psnr = sparseskin.psnr_db(frames, truth)
         ax.plot(np.arange(len(psnr))[window], psnr[window], label=label)
-        print(f"{label}: {psnr[touched].mean():.1f} dB mean, {psnr[touched].min():.1f} dB worst")
+        print(
+            f"{label}: {psnr[touched].mean():.1f} dB mean, {psnr[touched].min():.1f} dB worst"
+        )
     ax.axvline(first, color="0.7")
     ax.set(xlabel="frame (1 ms each)", ylabel="PSNR in dB")
     ax.legend(frameon=False, loc="center right", bbox_to_anchor=(1, 0.42))

@@ -16,7 +16,9 @@ def main() -> None:
     n = int(mask.sum())
     phi = sparseskin.make_phi("sbhe", n=n, m=n // 2, seed=0)
     basis = sparseskin.make_basis("haar", 24, 24)
-    solver = sparseskin.make_solver("fista", phi, basis, mask, iterations=100, rows="fixed")
+    solver = sparseskin.make_solver(
+        "fista", phi, basis, mask, iterations=100, rows="fixed"
+    )
 
     # Existing taxels alone are read.
     measurements = sparseskin.compress(forces, phi, mask, rows="fixed")

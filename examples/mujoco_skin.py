@@ -40,7 +40,9 @@ def in_mujoco(path=MODEL):
 def in_the_contact_model(radius_m):
     """Forces of each ms, of taxels that are spheres, or needles of radius 0."""
     sides = (-0.03, 0.03, -0.02, 0.02)
-    body = Body(build_sole([slab(*sides, 0.0)], sides, radius_m), MASS_KG, inertia_kg_m2=1.0)
+    body = Body(
+        build_sole([slab(*sides, 0.0)], sides, radius_m), MASS_KG, inertia_kg_m2=1.0
+    )
     scene = Scene(
         name="box",
         shape=(32, 32),
@@ -72,7 +74,9 @@ def line(name, frames, reference):
 needles = in_the_contact_model(0.0)
 spheres = in_the_contact_model(TAXEL_RADIUS_M)
 mujoco, _, factor = in_mujoco()
-print(f"weight of the box: {MASS_KG * 9.81:.3f} N; PSNR of contact frames against needles")
+print(
+    f"weight of the box: {MASS_KG * 9.81:.3f} N; PSNR of contact frames against needles"
+)
 print(f"{'':<34} {'sum, N':^23} {'footprint':^13} {'PSNR':^15}")
 print(
     f"{'':<34} {'peak':>7} {'rest':>7} {'drag':>7} {'rest':>6} {'drag':>6} {'mean':>7} {'min':>7}"

@@ -22,10 +22,14 @@ def main() -> None:
     shape = truth.shape[1:]
     print("drag_wrench_40, 150 frames, N/3    PSNR dB    error of the total force %")
     for label, f_min in (("clipped at 0", 0.0), ("kept, f_min = -0.056 N", -0.056)):
-        chain = Chain(SkinDescription("wrench", *shape, 2.5, noise=NOISE_N, f_min=f_min), 0.0)
+        chain = Chain(
+            SkinDescription("wrench", *shape, 2.5, noise=NOISE_N, f_min=f_min), 0.0
+        )
         taxels = np.stack([chain.apply(frame, k) for k, frame in enumerate(raw)])
         phi = sparseskin.make_phi("sbhe", n=truth[0].size, m=truth[0].size // 3, seed=0)
-        solver = sparseskin.make_solver("skin", phi, sparseskin.make_basis("haar", *shape))
+        solver = sparseskin.make_solver(
+            "skin", phi, sparseskin.make_basis("haar", *shape)
+        )
         found = sparseskin.reconstruct(sparseskin.compress(taxels, phi), solver)
         for what, forces in (("readings", taxels), ("reconstruction", found)):
             psnr_db = np.mean(sparseskin.psnr_db(truth, forces, f_max=2.5))

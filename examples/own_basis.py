@@ -25,7 +25,9 @@ class BlockCosine(Basis):
         self._blocks(out)[:] = dctn(self._blocks(image), axes=(1, 3), norm="ortho")
 
     def _synthesis(self, coefficients, out):
-        self._blocks(out)[:] = idctn(self._blocks(coefficients), axes=(1, 3), norm="ortho")
+        self._blocks(out)[:] = idctn(
+            self._blocks(coefficients), axes=(1, 3), norm="ortho"
+        )
 
 
 def main() -> None:
@@ -36,7 +38,9 @@ def main() -> None:
     for name in ("haar", "own_basis:BlockCosine"):
         basis = sparseskin.make_basis(name, 40, 40)
         sparseskin.check_basis(basis)
-        solver = sparseskin.make_solver("fista", phi, basis, iterations=100, rows="fixed")
+        solver = sparseskin.make_solver(
+            "fista", phi, basis, iterations=100, rows="fixed"
+        )
         reconstructed = sparseskin.reconstruct(measurements, solver)
         print(f"{name}: {sparseskin.psnr_db(reconstructed, smooth):.1f} dB")
 

@@ -32,7 +32,9 @@ above_n = 0.2
 class LargestSettings(PatchSettings):
     """Settings of the node."""
 
-    above_n: float = setting(1.0, "least force that is logged, newtons", low=0.0, high=100.0)
+    above_n: float = setting(
+        1.0, "least force that is logged, newtons", low=0.0, high=100.0
+    )
 
 
 class Largest(Node[LargestSettings]):

@@ -24,7 +24,9 @@ class RandomSums(Phi):
         places = np.concatenate([rng.permutation(n)[:block] for _ in range(m)])
         signs = rng.choice((-1.0, 1.0), size=places.size).astype(np.float32)
         rows = np.repeat(np.arange(m), places.size // m)
-        self._matrix = csr_array((signs / np.float32(block**0.5), (rows, places)), (m, n))
+        self._matrix = csr_array(
+            (signs / np.float32(block**0.5), (rows, places)), (m, n)
+        )
         self._transpose = self._matrix.T.tocsr()
         self.fingerprint = fingerprint_of(self.kind, n, m, block, places, signs)
         self._lipschitz = float(np.linalg.norm(self.dense(), 2) ** 2)

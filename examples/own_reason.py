@@ -52,7 +52,9 @@ class HumSettings(PatchSettings):
     """Settings of the node; `patch` is the name under which it passes frames on."""
 
     source: str = setting("raw", "name of the patch that the sensor publishes")
-    rise_n: float = setting(0.2, "rise of the median taxel that is a hum, N", low=0.0, high=100.0)
+    rise_n: float = setting(
+        0.2, "rise of the median taxel that is a hum, N", low=0.0, high=100.0
+    )
 
 
 class Hum(Node[HumSettings]):
@@ -93,7 +95,9 @@ def main() -> None:
         path = Path(folder, "hum.toml")
         path.write_text(LAUNCH_FILE)
         frames = sparseskin.run_launch(sparseskin.load_launch(str(path)), 60)
-        reasons = Counter(frame.reason or "trusted" for frame in frames if frame.patch == "skin")
+        reasons = Counter(
+            frame.reason or "trusted" for frame in frames if frame.patch == "skin"
+        )
     for reason, n_frames in sorted(reasons.items()):
         print(f"{reason}: {n_frames} frames")
 

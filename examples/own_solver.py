@@ -32,7 +32,9 @@ class ProjectedGradient(Solver):
 
     def step(self) -> None:
         residual = self._y - self.phi.forward(self._x)
-        descent = (self.phi.adjoint(residual) - self._shrinkage) / np.float32(self.phi.lipschitz)
+        descent = (self.phi.adjoint(residual) - self._shrinkage) / np.float32(
+            self.phi.lipschitz
+        )
         self._x = np.maximum(self._x + descent, 0)
 
     def finish(self):

@@ -25,7 +25,9 @@ def main() -> None:
     for frame in sparseskin.run_launch("replay", 100, settings):
         last = frame
     quality = sparseskin.psnr_db(last.forces, last.taxels)
-    print(f"{last.measurements.size} of {last.taxels.size} numbers, {quality:.1f} dB to the taxels")
+    print(
+        f"{last.measurements.size} of {last.taxels.size} numbers, {quality:.1f} dB to the taxels"
+    )
 
 
 if __name__ == "__main__":

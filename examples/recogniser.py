@@ -37,8 +37,12 @@ def recording(body: str, seeds: range, path: Path) -> Path:
     """A body that is pressed again and again on 20 x 20 taxels, in place of a skin of yours."""
     taps = Timing(untouched=0, contact=4, pause=1)
     how = {"course": "sudden", "active": 0.2, "noise": NoiseModel(), "timing": taps}
-    frames = [r for seed in seeds for _, r in press_frames(body, (20, 20), 50, seed, **how)]
-    np.savez(path, forces=np.stack(frames), f_max=2.5, rate_hz=100.0, unit=np.array("N"))
+    frames = [
+        r for seed in seeds for _, r in press_frames(body, (20, 20), 50, seed, **how)
+    ]
+    np.savez(
+        path, forces=np.stack(frames), f_max=2.5, rate_hz=100.0, unit=np.array("N")
+    )
     return path
 
 
@@ -47,7 +51,9 @@ def main() -> None:
         folder = Path(name)
         files = [str(recording(b, range(15), folder / f"{b}.npz")) for b in BODIES]
         labels = folder / "labels.csv"
-        labels.write_text("recording,label\n" + "".join(f"{b}.npz,{b}\n" for b in BODIES))
+        labels.write_text(
+            "recording,label\n" + "".join(f"{b}.npz,{b}\n" for b in BODIES)
+        )
         out = str(folder / "model.joblib")
         command(["tasks", "train", *files, "--labels", str(labels), "--out", out])
 
@@ -55,9 +61,13 @@ def main() -> None:
             other = recording(body, range(100, 104), folder / f"other_{body}.npz")
             graph = folder / "graph.toml"
             graph.write_text(GRAPH.format(recording=other, model=out))
-            pressed = [f for f in sparseskin.run_launch(str(graph)) if f.taxels.max() > 0.2]
+            pressed = [
+                f for f in sparseskin.run_launch(str(graph)) if f.taxels.max() > 0.2
+            ]
             seen = Counter(frame.label.label or "nothing" for frame in pressed)
-            print(f"{body}:", ", ".join(f"{label} {n}" for label, n in seen.most_common()))
+            print(
+                f"{body}:", ", ".join(f"{label} {n}" for label, n in seen.most_common())
+            )
 
 
 if __name__ == "__main__":

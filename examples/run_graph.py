@@ -16,7 +16,8 @@ def main() -> None:
         frames = [
             frame
             for frame in sparseskin.run_launch("lift_box_40", 360, settings)
-            if frame.truth.max() > 0.01  # newtons: an untouched skin is easy, and flatters
+            if frame.truth.max()
+            > 0.01  # newtons: an untouched skin is easy, and flatters
         ]
         noisy = [sparseskin.psnr_db(frame.taxels, frame.truth) for frame in frames]
         made = [sparseskin.psnr_db(frame.forces, frame.truth) for frame in frames]

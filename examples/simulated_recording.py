@@ -34,7 +34,11 @@ np.savez_compressed(
     rate_hz=1 / STEP_S,
 )
 
-settings = ["sensor.source=file:simulated.npz", "sensor.rate_hz=0", "compressor.ratio=4"]
+settings = [
+    "sensor.source=file:simulated.npz",
+    "sensor.rate_hz=0",
+    "compressor.ratio=4",
+]
 trusted = [
     (sparseskin.psnr_db(frame.forces, frame.taxels, f_max=2.5), frame.trusted)
     for frame in sparseskin.run_launch("replay", N_STEPS, settings)

@@ -30,14 +30,22 @@ def frames():
             try:
                 packet, notes, _, sender = skin.recvmsg(65536, 64)
             except TimeoutError:
-                raise TimeoutError(f"no packet for {SILENT_S:g} s on port {PORT}") from None
-            n_dropped = max(int.from_bytes(n[2], sys.byteorder) for n in notes) if notes else 0
+                raise TimeoutError(
+                    f"no packet for {SILENT_S:g} s on port {PORT}"
+                ) from None
+            n_dropped = (
+                max(int.from_bytes(n[2], sys.byteorder) for n in notes) if notes else 0
+            )
             whole = len(packet) == 2 * SHAPE[0] * SHAPE[1]
             n_bad += not whole
             if n_bad + n_dropped > 2 * logged:  # at 1, 3, 7 ...
                 logged = n_bad + n_dropped
-                print(f"{n_bad} packets of a wrong size, {n_dropped} dropped by the kernel")
+                print(
+                    f"{n_bad} packets of a wrong size, {n_dropped} dropped by the kernel"
+                )
             if whole:
-                skin.connect(sender)  # packets of others are dropped by the kernel from now on
+                skin.connect(
+                    sender
+                )  # packets of others are dropped by the kernel from now on
                 counts = np.frombuffer(packet, "<u2").reshape(SHAPE)
                 yield time.monotonic_ns(), counts * (RANGE_N / 65535)

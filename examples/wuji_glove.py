@@ -15,6 +15,8 @@ def frames():
 
     received = queue.SimpleQueue()
     with tactile.Glove() as glove:
-        glove.start_streaming(lambda f: received.put((time.monotonic_ns(), f.pressure.copy())))
+        glove.start_streaming(
+            lambda f: received.put((time.monotonic_ns(), f.pressure.copy()))
+        )
         while True:
             yield received.get(timeout=2)

@@ -18,7 +18,9 @@ def main(out: str = "your_own_skin.png", path: str = "example:fingers") -> None:
     recording = sparseskin.read_recording(path)
     taxels, unit = recording["forces"], recording["unit"]
     n_rows, n_cols = taxels.shape[1:]
-    mask = recording.get("mask", np.ones((n_rows, n_cols), bool))  # True where a taxel exists
+    mask = recording.get(
+        "mask", np.ones((n_rows, n_cols), bool)
+    )  # True where a taxel exists
     n = int(mask.sum())
 
     loaded = taxels.max(axis=(1, 2)) > 0.1 * recording["f_max"]
@@ -33,9 +35,13 @@ def main(out: str = "your_own_skin.png", path: str = "example:fingers") -> None:
         norms = np.linalg.norm((forces - taxels)[loaded], axis=(1, 2))
         error = np.median(norms / np.linalg.norm(taxels[loaded], axis=(1, 2)))
         panels[f"N/{ratio}: error {error:.1%}"] = forces[shown]
-        print(f"N/{ratio}: median relative error {error:.1%} over {loaded.sum()} loaded frames")
+        print(
+            f"N/{ratio}: median relative error {error:.1%} over {loaded.sum()} loaded frames"
+        )
 
-    figure, axes = plt.subplots(1, len(panels), figsize=(10, 2.9), dpi=90, layout="constrained")
+    figure, axes = plt.subplots(
+        1, len(panels), figsize=(10, 2.9), dpi=90, layout="constrained"
+    )
     for ax, (label, frame) in zip(axes, panels.items(), strict=True):
         image = ax.imshow(frame, vmin=0, vmax=taxels[shown].max())
         ax.set(title=label, xticks=[], yticks=[])

@@ -107,7 +107,9 @@ def _same(a: Any, b: Any) -> bool:
     return bool(a == b)
 
 
-def once_a_class(make: Callable[[type[Message]], Made]) -> Callable[[type[Message]], Made]:
+def once_a_class(
+    make: Callable[[type[Message]], Made],
+) -> Callable[[type[Message]], Made]:
     """`functools.cache` of a function of a class: the class is hashable, its messages are not."""
     return cast(Callable[[type[Message]], Made], functools.cache(make))
 

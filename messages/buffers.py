@@ -17,7 +17,13 @@ from typing import Any, NamedTuple
 import msgpack
 
 from .base import Message, once_a_class, wire_fields
-from .errors import FieldError, MalformedError, OversizedError, TruncatedError, VersionError
+from .errors import (
+    FieldError,
+    MalformedError,
+    OversizedError,
+    TruncatedError,
+    VersionError,
+)
 from .fields import Array, Each, FieldKind, Names, Number, Text, Words
 from .schemas import class_of
 from .topics import MAX_PATCHES, topic_of
@@ -35,7 +41,12 @@ that is aligned, they need no copy. Chosen: as malloc aligns, and wider than any
 MAX_DESCRIPTION_BYTES = 8192
 MAX_STREAMS = 1024
 """Number of descriptions that are known at a time."""
-_LIMITS = {"max_str_len": 4096, "max_array_len": MAX_PATCHES, "max_map_len": 64, "max_ext_len": 0}
+_LIMITS = {
+    "max_str_len": 4096,
+    "max_array_len": MAX_PATCHES,
+    "max_map_len": 64,
+    "max_ext_len": 0,
+}
 _DESCRIPTION = frozenset({"wire", "schema", "version", "texts", "arrays"})
 _BEGIN = struct.Struct("<BH")
 _ZEROS = tuple(map(bytes, range(ALIGNMENT)))
@@ -243,7 +254,9 @@ def unpacked(raw: Payload, expected: type, n_bytes: int) -> Any:
         # msgpack has no class of its own for bytes that end too early.
         if "incomplete" in str(error):
             raise TruncatedError(f"message cut off after {n_bytes} bytes") from error
-        raise MalformedError(f"not a msgpack {expected.__name__}: {str(error)[:120]}") from error
+        raise MalformedError(
+            f"not a msgpack {expected.__name__}: {str(error)[:120]}"
+        ) from error
     if not isinstance(value, expected):
         text = f"expected one msgpack {expected.__name__}, got {type(value).__name__}"
         raise MalformedError(text)
@@ -296,7 +309,9 @@ def _stream_of(topic: bytes, payload: Payload) -> _Stream:
         raise TruncatedError(f"message cut off after {n_bytes} bytes")
     _, size = _BEGIN.unpack_from(payload)
     if size > MAX_DESCRIPTION_BYTES:
-        raise OversizedError(f"description of {size} bytes, at most {MAX_DESCRIPTION_BYTES}")
+        raise OversizedError(
+            f"description of {size} bytes, at most {MAX_DESCRIPTION_BYTES}"
+        )
 
     # Equal bytes stand for a description that was checked before.
     description = bytes(payload[_BEGIN.size : _BEGIN.size + size])
@@ -307,7 +322,9 @@ def _stream_of(topic: bytes, payload: Payload) -> _Stream:
             raise TruncatedError(f"message cut off after {n_bytes} bytes")
         stream = _learn(description)
     if stream.topic != topic:
-        raise FieldError(f"a message of {stream.topic.decode()} came under topic {topic!r}")
+        raise FieldError(
+            f"a message of {stream.topic.decode()} came under topic {topic!r}"
+        )
     return stream
 
 
@@ -331,7 +348,9 @@ def _form_of(body: dict[Any, Any]) -> _Form:
     # Another version may have another schema, too: this is reported first.
     version = body.get("wire")
     if type(version) is int and version != WIRE_VERSION:
-        raise VersionError(f"wire form {version}, this program reads 1 and {WIRE_VERSION}")
+        raise VersionError(
+            f"wire form {version}, this program reads 1 and {WIRE_VERSION}"
+        )
     cls = class_of(body)
     form = _form(cls)
     if body.keys() != _DESCRIPTION or not is_frame(cls):
@@ -369,7 +388,9 @@ def _complete_words(form: _Form, values: dict[str, Any], n_patches: int) -> None
         if not values[name]:
             values[name] = kind.unstated * n_patches
         if len(values[name]) != n_patches:
-            raise MalformedError(f"{form.cls.schema}: {name}: expected {n_patches} words")
+            raise MalformedError(
+                f"{form.cls.schema}: {name}: expected {n_patches} words"
+            )
 
 
 def _described_arrays(form: _Form, described: dict[str, Any]) -> list[_SentArray]:

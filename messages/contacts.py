@@ -78,7 +78,9 @@ class Contacts(Frames):
         for name, sides in _SIDES.items():
             column = self.__dict__[name]
             if column is not None and column.shape != (n, *sides):
-                raise ShapeError(f"{name}: shape {column.shape}, expected {(n, *sides)}")
+                raise ShapeError(
+                    f"{name}: shape {column.shape}, expected {(n, *sides)}"
+                )
 
         n_patches = len(self.patches)
         # Rows of patches, and numbers of events, are used as indices.
@@ -94,7 +96,9 @@ class Contacts(Frames):
         if not (_within(patches, n_patches) and _within(kinds, len(EVENTS))):
             raise ShapeError("events: a patch or event that is not known")
 
-    def split(self, last_forces: MutableMapping[str, Floats] | None = None) -> list[Self]:
+    def split(
+        self, last_forces: MutableMapping[str, Floats] | None = None
+    ) -> list[Self]:
         if not self.names:
             return [self]
         return [self._of_patch(k) for k in range(len(self.names))]
@@ -119,9 +123,13 @@ class Contacts(Frames):
                 events = None
         return self._single(k, **columns, events=events, patch_of=None)
 
-    def at(self, stamp_ns: int, done_ns: int, trusted: tuple[bool, ...], **changes: Any) -> Self:
+    def at(
+        self, stamp_ns: int, done_ns: int, trusted: tuple[bool, ...], **changes: Any
+    ) -> Self:
         """Copy at another time with other fields, which are not checked."""
-        return self._copy(stamp_ns=stamp_ns, done_ns=done_ns, trusted=trusted, **changes)
+        return self._copy(
+            stamp_ns=stamp_ns, done_ns=done_ns, trusted=trusted, **changes
+        )
 
     @property
     def named_events(self) -> list[tuple[int, str]]:
@@ -177,7 +185,17 @@ _COLUMNS = {
     "velocity_mm_s": ("x_mm_s", "y_mm_s", "z_mm_s"),
     "normal": ("x_normal", "y_normal", "z_normal"),
 }
-_SCALARS = ("id", "total", "total_sd", "peak", "area", "age_s", "over", "sliding", "area_mm2")
+_SCALARS = (
+    "id",
+    "total",
+    "total_sd",
+    "peak",
+    "area",
+    "age_s",
+    "over",
+    "sliding",
+    "area_mm2",
+)
 _SIDES: dict[str, tuple[int, ...]] = {
     **dict.fromkeys((*_SCALARS, "patch_of"), ()),
     **dict.fromkeys(("centre", "centre_sd", "velocity"), (2,)),

@@ -11,8 +11,22 @@ from typing import Any, ClassVar
 import numpy as np
 import numpy.typing as npt
 
-from .errors import FieldError, MalformedError, NotFiniteError, OversizedError, ShapeError
-from .quantised import MAX_BITS, MIN_BITS, Quantised, largest_code, n_bytes, packed, unpacked
+from .errors import (
+    FieldError,
+    MalformedError,
+    NotFiniteError,
+    OversizedError,
+    ShapeError,
+)
+from .quantised import (
+    MAX_BITS,
+    MIN_BITS,
+    Quantised,
+    largest_code,
+    n_bytes,
+    packed,
+    unpacked,
+)
 from .ranges import INT64_MAX, is_real, is_whole
 from .topics import MAX_NAME, MAX_NAMES, MAX_PATCHES, check_name
 
@@ -65,7 +79,9 @@ class Integer(Number):
         if type(value) is int and self.low <= value <= self.high:
             return value
         if not is_whole(value):
-            raise FieldError(f"{name}: expected a whole number, got {type(value).__name__}")
+            raise FieldError(
+                f"{name}: expected a whole number, got {type(value).__name__}"
+            )
         if not self.low <= value <= self.high:
             raise FieldError(f"{name}: {value} is outside {self.low}..{self.high}")
         return int(value)
@@ -82,7 +98,11 @@ class Real(Number):
     optional: bool = False
 
     def check(self, name: str, value: Any) -> float | None:
-        if type(value) is float and self.low <= value <= self.high and math.isfinite(value):
+        if (
+            type(value) is float
+            and self.low <= value <= self.high
+            and math.isfinite(value)
+        ):
             return value
         if value is None and self.optional:
             return None
@@ -117,7 +137,9 @@ class Flag(Number):
 
     def check(self, name: str, value: Any) -> bool:
         if not isinstance(value, bool):
-            raise FieldError(f"{name}: expected true or false, got {type(value).__name__}")
+            raise FieldError(
+                f"{name}: expected true or false, got {type(value).__name__}"
+            )
         return value
 
 
@@ -175,9 +197,13 @@ class Names(FieldKind):
     def check(self, name: str, value: Any) -> tuple[str, ...]:
         if value == ():
             return ()
-        is_texts = isinstance(value, tuple) and all(isinstance(text, str) for text in value)
+        is_texts = isinstance(value, tuple) and all(
+            isinstance(text, str) for text in value
+        )
         if not is_texts:
-            raise FieldError(f"{name}: expected a tuple of texts, got {type(value).__name__}")
+            raise FieldError(
+                f"{name}: expected a tuple of texts, got {type(value).__name__}"
+            )
         return _names(name, " ".join(value))
 
     def pack(self, value: Any) -> str:
@@ -218,7 +244,9 @@ class Text(FieldKind):
         if not isinstance(value, str):
             raise FieldError(f"{name}: expected a text, got {type(value).__name__}")
         if len(value) > self.longest:
-            raise OversizedError(f"{name}: {len(value)} characters, at most {self.longest}")
+            raise OversizedError(
+                f"{name}: {len(value)} characters, at most {self.longest}"
+            )
         if not _matches(self.pattern, value):
             raise FieldError(f"{name}: {value!r} does not match {self.pattern}")
         return value
@@ -264,7 +292,9 @@ class Array(FieldKind):
         if self.patches and value.ndim == self.ndim - 1:
             value = value[np.newaxis]
         if value.dtype != self._dtype:
-            raise ShapeError(f"{name}: expected dtype {self.dtype}, got {value.dtype.str}")
+            raise ShapeError(
+                f"{name}: expected dtype {self.dtype}, got {value.dtype.str}"
+            )
         self._check_shape(name, value.shape)
         self._check_finite(name, value)
         return np.ascontiguousarray(value)
@@ -286,20 +316,26 @@ class Array(FieldKind):
         if raw is None and self.optional:
             return None
         if not isinstance(raw, dict) or raw.keys() - {"step"} != _ARRAY_KEYS:
-            raise MalformedError(f"{name}: expected a map of dtype, shape, order and data")
+            raise MalformedError(
+                f"{name}: expected a map of dtype, shape, order and data"
+            )
         # The sizes are checked before any byte is looked at.
         dtype, shape, size = self.checked_form(name, [raw["dtype"], raw["shape"]])
         if raw["order"] != "C":
             raise ShapeError(f"{name}: expected order C, got {str(raw['order'])[:8]!r}")
         is_quantised = dtype != self.dtype
         if ("step" in raw) != is_quantised:
-            raise MalformedError(f"{name}: expected a step with dtype intB, and with no other")
+            raise MalformedError(
+                f"{name}: expected a step with dtype intB, and with no other"
+            )
 
         data = raw["data"]
         if not isinstance(data, bytes):
             raise MalformedError(f"{name}: data must be a bin field")
         if len(data) != size:
-            raise ShapeError(f"{name}: {list(shape)} of {dtype} does not fit {len(data)} bytes")
+            raise ShapeError(
+                f"{name}: {list(shape)} of {dtype} does not fit {len(data)} bytes"
+            )
         return self.of_data(name, dtype, shape, raw.get("step"), data)
 
     def dtype_of(self, value: Any) -> str:
@@ -327,7 +363,12 @@ class Array(FieldKind):
         return dtype, tuple(shape), n_bytes(math.prod(shape), bits)
 
     def of_data(
-        self, name: str, dtype: str, shape: tuple[int, ...], extra: Any, data: bytes | memoryview
+        self,
+        name: str,
+        dtype: str,
+        shape: tuple[int, ...],
+        extra: Any,
+        data: bytes | memoryview,
     ) -> npt.NDArray[Any]:
         """The array of bytes, as many as `checked_form` returned; MessageError if not finite."""
         # numpy would take any byte but 0 for true, and keep it.
@@ -340,7 +381,9 @@ class Array(FieldKind):
     def _bits_of(self, name: str, dtype: Any) -> int:
         """Number of bits of an element of a dtype as it travels, or MessageError."""
         if dtype != self.dtype:
-            raise ShapeError(f"{name}: expected dtype {self.dtype}, got {str(dtype)[:32]!r}")
+            raise ShapeError(
+                f"{name}: expected dtype {self.dtype}, got {str(dtype)[:32]!r}"
+            )
         return 8 * self._dtype.itemsize
 
     @functools.cached_property
@@ -359,7 +402,9 @@ class Array(FieldKind):
         indices = place
         if self.patches and len(value) == 1:
             indices = place[1:]
-        raise NotFiniteError(f"{name}{indices}: {value[tuple(place)]} is not a finite number")
+        raise NotFiniteError(
+            f"{name}{indices}: {value[tuple(place)]} is not a finite number"
+        )
 
     def _check_shape(self, name: str, shape: tuple[int, ...]) -> None:
         # A side that counts what is sent may be 0.
@@ -411,7 +456,12 @@ class Samples(Array):
         return super().data_of(value)
 
     def of_data(
-        self, name: str, dtype: str, shape: tuple[int, ...], extra: Any, data: bytes | memoryview
+        self,
+        name: str,
+        dtype: str,
+        shape: tuple[int, ...],
+        extra: Any,
+        data: bytes | memoryview,
     ) -> npt.NDArray[Any]:
         if dtype == self.dtype:
             return super().of_data(name, dtype, shape, extra, data)

@@ -93,7 +93,9 @@ class Frames(Message):
         """True if a field may have so many rows, another number than there are patches."""
         return False
 
-    def split(self, last_forces: MutableMapping[str, Floats] | None = None) -> list[Self]:
+    def split(
+        self, last_forces: MutableMapping[str, Floats] | None = None
+    ) -> list[Self]:
         """Messages of the single patches, arrays being views. `last_forces` keeps the last forces
         of each patch by its name, for those that a later `Reconstruction` does not send; a patch
         of which nothing is known is left out.
@@ -239,7 +241,9 @@ class Measurements(Sensed):
         # Each marked taxel gives one measurement.
         n_places = int(np.unpackbits(self.places).sum())
         if n_places != self.y.shape[1]:
-            raise ShapeError(f"places: {n_places} of them for {self.y.shape[1]} measurements")
+            raise ShapeError(
+                f"places: {n_places} of them for {self.y.shape[1]} measurements"
+            )
 
     def _may_have(self, name: str, n_rows: int) -> bool:
         return name == "y" and n_rows == self.unchanged.count(False)
@@ -249,13 +253,17 @@ class Measurements(Sensed):
         """True if y holds the measurements of all patches."""
         return len(self.y) == len(self.patches)
 
-    def split(self, last_forces: MutableMapping[str, Floats] | None = None) -> list[Self]:
+    def split(
+        self, last_forces: MutableMapping[str, Floats] | None = None
+    ) -> list[Self]:
         if not self.names or self.all_sent:
             return super().split(last_forces)
         # Measurements that are sent are in the order of the patches that have changed; the others
         # have no message, as a patch that is served alone has none.
         changed = [k for k, same in enumerate(self.unchanged) if not same]
-        return [self._single(k, y=self.y[row : row + 1]) for row, k in enumerate(changed)]
+        return [
+            self._single(k, y=self.y[row : row + 1]) for row, k in enumerate(changed)
+        ]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -297,12 +305,16 @@ class Reconstruction(Sensed):
             return
         grid = self.forces.shape[1:]
         if self.sd.shape[1:] != grid:
-            raise ShapeError(f"sd: shape {self.sd.shape}, but forces {self.forces.shape}")
+            raise ShapeError(
+                f"sd: shape {self.sd.shape}, but forces {self.forces.shape}"
+            )
 
     def _may_have(self, name: str, n_rows: int) -> bool:
         return name == "forces" and n_rows == self.unchanged.count(False)
 
-    def split(self, last_forces: MutableMapping[str, Floats] | None = None) -> list[Self]:
+    def split(
+        self, last_forces: MutableMapping[str, Floats] | None = None
+    ) -> list[Self]:
         if last_forces is None:
             last_forces = {}
         # A frame that has not changed may leave its forces out.

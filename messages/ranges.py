@@ -11,7 +11,9 @@ HUGE = 1 << 256
 """Whole numbers of this size count as infinite: beyond any range in use, and near that of float."""
 
 
-def is_whole(value: Any, low: float = -math.inf, high: float = math.inf) -> TypeGuard[int]:
+def is_whole(
+    value: Any, low: float = -math.inf, high: float = math.inf
+) -> TypeGuard[int]:
     """True for an integer in [low, high], NumPy's too; True and False are none."""
     # bool is a subclass of int.
     if isinstance(value, bool) or not isinstance(value, int | np.integer):
@@ -19,7 +21,9 @@ def is_whole(value: Any, low: float = -math.inf, high: float = math.inf) -> Type
     return bool(low <= value <= high)
 
 
-def is_real(value: Any, low: float = -math.inf, high: float = math.inf) -> TypeGuard[float]:
+def is_real(
+    value: Any, low: float = -math.inf, high: float = math.inf
+) -> TypeGuard[float]:
     """True for a finite number in [low, high], NumPy's too; True and False are none."""
     # An integer may be too large to be converted to float.
     if isinstance(value, int):

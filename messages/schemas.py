@@ -20,10 +20,14 @@ def class_of(body: dict[object, object]) -> type[Message]:
     # Any object may stand here: the message has not been checked.
     name = body.get("schema")
     if not isinstance(name, str) or name not in SCHEMAS:
-        raise UnknownSchemaError(f"schema {str(name)[:64]!r} (known: {', '.join(SCHEMAS)})")
+        raise UnknownSchemaError(
+            f"schema {str(name)[:64]!r} (known: {', '.join(SCHEMAS)})"
+        )
 
     cls = SCHEMAS[name]
     version = body.get("version")
     if type(version) is not int or version != cls.version:
-        raise VersionError(f"{name}: version {str(version)[:20]}, this program reads {cls.version}")
+        raise VersionError(
+            f"{name}: version {str(version)[:20]}, this program reads {cls.version}"
+        )
     return cls

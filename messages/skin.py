@@ -116,7 +116,9 @@ def first_far(places: npt.NDArray[Any]) -> int | None:
     return int(np.argmin(near))
 
 
-def _check_array(what: str, value: npt.NDArray[Any], dtype: type, shape: tuple[int, ...]) -> None:
+def _check_array(
+    what: str, value: npt.NDArray[Any], dtype: type, shape: tuple[int, ...]
+) -> None:
     """Raise MessageError unless an array is of a type and shape."""
     if value.shape != shape or value.dtype != dtype:
         expected = f"expected {np.dtype(dtype)} {list(shape)}"

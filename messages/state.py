@@ -8,7 +8,17 @@ import numpy.typing as npt
 
 from .base import Message
 from .errors import MessageError, ShapeError
-from .fields import MAX_ELEMENTS, MAX_SIDE, Array, Flag, Integer, Real, Text, omitted, wire
+from .fields import (
+    MAX_ELEMENTS,
+    MAX_SIDE,
+    Array,
+    Flag,
+    Integer,
+    Real,
+    Text,
+    omitted,
+    wire,
+)
 from .frames import FINGERPRINT_PATTERN, Floats
 from .skin import Skin
 from .topics import MAX_NAME, NAME_PATTERN, topic_of
@@ -131,9 +141,13 @@ class Calibration(Message):
         reading = self.response_reading
         force = self.response_force
         if (reading is None) != (force is None):
-            raise ShapeError("response_reading, response_force: expected both of them or none")
+            raise ShapeError(
+                "response_reading, response_force: expected both of them or none"
+            )
         if reading is not None and force is not None and len(reading) != len(force):
-            raise ShapeError(f"response_reading: {len(reading)} knots, but {len(force)} forces")
+            raise ShapeError(
+                f"response_reading: {len(reading)} knots, but {len(force)} forces"
+            )
 
         grids = (self.baseline, self.gains)
         # All of them are multiplied cell by cell.

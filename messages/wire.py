@@ -66,7 +66,11 @@ def encode(message: Message) -> tuple[bytes, bytes]:
     for name, kind in wire_fields(cls).items():
         value = message.__dict__[name]
         # A default is never an array.
-        if name not in omitted or isinstance(value, np.ndarray) or value != omitted[name]:
+        if (
+            name not in omitted
+            or isinstance(value, np.ndarray)
+            or value != omitted[name]
+        ):
             body[name] = kind.pack(value)
     return message.topic.encode(), msgpack.packb(body)
 
@@ -85,7 +89,9 @@ def decode(topic: bytes, payload: Payload) -> Message:
     if n_bytes > MAX_MESSAGE_BYTES:
         raise OversizedError(f"message of {n_bytes} bytes, at most {MAX_MESSAGE_BYTES}")
     if not n_bytes:
-        raise TruncatedError("no payload follows the topic: the sender runs another version")
+        raise TruncatedError(
+            "no payload follows the topic: the sender runs another version"
+        )
     if payload[0] == MARK:
         return decode_frame(topic, payload)
     message = _of_map(unpacked(payload, dict, n_bytes))

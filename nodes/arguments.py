@@ -75,8 +75,12 @@ def checked(error: type[SparseskinError]) -> Callable[[Callable[P, R]], Callable
                 raise error(f"{name}: {cause}; expected: {name}({expected})") from cause
             for key, value in bound.arguments.items():
                 if allowed := _what_is_allowed(value, hints()[key]):
-                    value_text = "a masked array" if has_masked(value) else f"{value!r:.60}"
-                    raise error(f"{name}: {key} = {value_text} is not allowed; allowed: {allowed}")
+                    value_text = (
+                        "a masked array" if has_masked(value) else f"{value!r:.60}"
+                    )
+                    raise error(
+                        f"{name}: {key} = {value_text} is not allowed; allowed: {allowed}"
+                    )
             return function(*args, **kwargs)
 
         return call

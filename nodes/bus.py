@@ -61,8 +61,12 @@ class Bus:
             # Stamps name frames, so they must differ even on a clock that stands still.
             self._last_stamp_ns = max(self.clock.now_ns(), self._last_stamp_ns + 1)
             for host in live:
-                messages += self._deliver(host.tick(Tick(self._last_stamp_ns, self._n_ticks)))
-            if not messages and not all(getattr(host.node, "acquired", True) for host in live):
+                messages += self._deliver(
+                    host.tick(Tick(self._last_stamp_ns, self._n_ticks))
+                )
+            if not messages and not all(
+                getattr(host.node, "acquired", True) for host in live
+            ):
                 continue
             self._n_ticks += 1
             done += 1

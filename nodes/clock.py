@@ -119,5 +119,7 @@ class ClockOffset:
         """Best estimate at `now_ns` of our clock; None before the first exchange."""
         if not self._exchanges:
             return None
-        best = min(self._exchanges, key=lambda exchange: exchange.uncertainty_ns(now_ns))
+        best = min(
+            self._exchanges, key=lambda exchange: exchange.uncertainty_ns(now_ns)
+        )
         return ClockEstimate(best.offset_ns, best.uncertainty_ns(now_ns))

@@ -42,7 +42,9 @@ SOLVERS = "sparseskin_solvers"
 @cache
 def offered(group: str) -> "dict[str, EntryPoint]":
     """Entry points of a group by name, in alphabetical order."""
-    from importlib.metadata import entry_points  # takes time, and the core alone needs none
+    from importlib.metadata import (
+        entry_points,
+    )  # takes time, and the core alone needs none
 
     by_name = {point.name: point for point in entry_points(group=group)}
     return {name: by_name[name] for name in sorted(by_name)}
@@ -90,7 +92,9 @@ def load(group: str, name: str, error: type[SparseskinError], where: str = "") -
     try:
         return point.load()
     except Exception as cause:  # a plug-in may raise anything
-        raise error(f"{where or name}: plug-in {point.value}: {one_line(cause)}") from cause
+        raise error(
+            f"{where or name}: plug-in {point.value}: {one_line(cause)}"
+        ) from cause
 
 
 @cache
@@ -107,7 +111,10 @@ def loaded(group: str) -> dict[str, Any]:
 
 def failures(group: str) -> str:
     """The plug-ins of a group that cannot be imported, as the end of an error; "" for none."""
-    absent = [offered(group)[name].value for name in offered(group).keys() - loaded(group).keys()]
+    absent = [
+        offered(group)[name].value
+        for name in offered(group).keys() - loaded(group).keys()
+    ]
     return f"; cannot be imported: {', '.join(sorted(absent))}" if absent else ""
 
 

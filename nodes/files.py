@@ -53,7 +53,9 @@ def check_private(folder: Path) -> None:
         fault = f"mode {stat.S_IMODE(status.st_mode):04o} lets other users in"
     else:
         return
-    raise SparseskinError(f"{folder}: {fault} (allowed: a folder of your own with mode 0700)")
+    raise SparseskinError(
+        f"{folder}: {fault} (allowed: a folder of your own with mode 0700)"
+    )
 
 
 def is_served(path: Path) -> bool:

@@ -31,7 +31,9 @@ def join(nodes: NodeSpecs) -> list[Link]:
     for name, (cls, settings) in nodes.items():
         for topic in cls.outputs(settings):
             if topic in writers:
-                raise SettingsError(f"{name}: writes {topic}, which {writers[topic]} writes too")
+                raise SettingsError(
+                    f"{name}: writes {topic}, which {writers[topic]} writes too"
+                )
             writers[topic] = name
     links = []
     for name, (cls, settings) in nodes.items():
@@ -40,11 +42,17 @@ def join(nodes: NodeSpecs) -> list[Link]:
             for topic in matching:
                 if topic not in writers:
                     hint = _hint(topic, writers)
-                    raise SettingsError(f"{name}: reads {topic}, which no node writes{hint}")
+                    raise SettingsError(
+                        f"{name}: reads {topic}, which no node writes{hint}"
+                    )
                 links.append(Link(topic, writers[topic], name))
             if not matching:
-                raise SettingsError(f"{name}: reads {pattern}, which matches no written topic")
-        optional = [topic for topic in cls.optional_inputs(settings) if topic in writers]
+                raise SettingsError(
+                    f"{name}: reads {pattern}, which matches no written topic"
+                )
+        optional = [
+            topic for topic in cls.optional_inputs(settings) if topic in writers
+        ]
         links += [Link(topic, writers[topic], name) for topic in optional]
     return links
 
@@ -52,7 +60,9 @@ def join(nodes: NodeSpecs) -> list[Link]:
 def _hint(topic: str, writers: Mapping[str, str]) -> str:
     """What may have been meant: topics of the same schema, or else all that are written."""
     schema = topic.rpartition("/")[2]
-    same_schema = [written for written in writers if written.rpartition("/")[2] == schema]
+    same_schema = [
+        written for written in writers if written.rpartition("/")[2] == schema
+    ]
     if same_schema:
         return did_you_mean(topic, same_schema)
     return f" (written: {', '.join(sorted(writers))})"

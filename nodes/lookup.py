@@ -53,7 +53,9 @@ def suggestion(word: str, known: Iterable[str]) -> str:
     """Hint for a word that is like a known one: ' (did you mean 'iterations'?)'; "" for others."""
 
     def likeness(name: str) -> tuple[float, int]:  # then the number of letters in place
-        return difflib.SequenceMatcher(None, name, word).ratio(), sum(map(str.__eq__, name, word))
+        return difflib.SequenceMatcher(None, name, word).ratio(), sum(
+            map(str.__eq__, name, word)
+        )
 
     near = max(difflib.get_close_matches(word, known), key=likeness, default="")
     return f" (did you mean '{near}'?)" if near else ""
@@ -125,7 +127,9 @@ def find_callable(target: str, error: type[SparseskinError]) -> Callable[..., An
             raise error(f"{target}: {module_name} has no {attribute!r}{hint}")
         target_object = getattr(target_object, part)
     if not callable(target_object):
-        raise error(f"{target}: is {type(target_object).__name__}, which cannot be called")
+        raise error(
+            f"{target}: is {type(target_object).__name__}, which cannot be called"
+        )
     function: Callable[..., Any] = target_object
     return function
 
@@ -148,5 +152,7 @@ def find_class(
         return find_callable(name, error)
     if name not in registered:
         hint = did_you_mean(name, registered)
-        raise error(f'{what} "{name}" is not known{hint}; or "module:Class" for your own')
+        raise error(
+            f'{what} "{name}" is not known{hint}; or "module:Class" for your own'
+        )
     return find_callable(registered[name], error)

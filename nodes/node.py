@@ -33,7 +33,9 @@ class Context:
     passes on; the answer arrives as a command "answer". None without a launcher."""
     late: bool = False
     """True if the node joins a running graph."""
-    clock_of: Callable[[str], ClockEstimate | None] = field(default=lambda topic: SAME_CLOCK)
+    clock_of: Callable[[str], ClockEstimate | None] = field(
+        default=lambda topic: SAME_CLOCK
+    )
     """Clock of the host of an input topic's writer against `clock`; None while not known."""
     page_token: str = ""
     """Random text, the same for one run of a graph, that its live pages ask for."""
@@ -249,7 +251,9 @@ class SourceNode(Node[S]):
             return super().command(name, value)
         pause = not self.paused if value is None else value
         if not isinstance(pause, bool):
-            raise RefusedError(f"pause: {value!r} is not allowed (allowed: true, false)")
+            raise RefusedError(
+                f"pause: {value!r} is not allowed (allowed: true, false)"
+            )
         if pause != self.paused:
             self.pause(pause)
         return "paused" if pause else "runs"

@@ -88,7 +88,9 @@ class Counts:
     def as_dict(self) -> dict[str, Any]:
         """Counters as plain data, for status lines and summaries."""
         counts: dict[str, Any] = {
-            counter: {topic: getattr(count, counter) for topic, count in self.inputs.items()}
+            counter: {
+                topic: getattr(count, counter) for topic, count in self.inputs.items()
+            }
             for counter in COUNTED
         }
         counts |= {"published": dict(self.published), "refused": dict(self.refused)}
@@ -117,7 +119,10 @@ class NodeHost:
         self.inputs = tuple(node.inputs(node.settings) if inputs is None else inputs)
         self.outputs = node.outputs(node.settings)
         self.counts = Counts(
-            {topic: TopicCount(late=late or topic in late_inputs) for topic in self.inputs}
+            {
+                topic: TopicCount(late=late or topic in late_inputs)
+                for topic in self.inputs
+            }
         )
         self.streams = [topic for topic in self.inputs if not is_latched(topic)]
         self.raised: Callable[[Exception], None] = lambda error: None
@@ -215,7 +220,11 @@ class NodeHost:
                 continue  # a state remains valid after the end of the stream
             patch, schema = split_topic(topic)
             n = self.counts.published[topic]
-            head: dict[str, Any] = {"stamp_ns": stamp_ns, "patch": patch, "run_id": self.run_id}
+            head: dict[str, Any] = {
+                "stamp_ns": stamp_ns,
+                "patch": patch,
+                "run_id": self.run_id,
+            }
             yield End(**head, seq=n, of=schema, n_messages=n)
 
     def idle(self) -> None:
@@ -233,7 +242,9 @@ class NodeHost:
             self.failure = self.failure or str(error)
             self._refuse("failed", str(error))
 
-    def _guarded(self, method: Callable[..., Iterable[Message]], *args: Any) -> Iterator[Message]:
+    def _guarded(
+        self, method: Callable[..., Iterable[Message]], *args: Any
+    ) -> Iterator[Message]:
         """Publish what a method yields; an exception is counted and ends no node."""
         try:
             for message in method(*args):
@@ -256,7 +267,9 @@ class NodeHost:
         topic = message.topic
         seq = self.counts.published[topic]
         self.counts.published[topic] = seq + 1
-        self.published(topic, seq + 1)  # before it is sent: none is sent that is not counted
+        self.published(
+            topic, seq + 1
+        )  # before it is sent: none is sent that is not counted
         return message.published(self.run_id, seq)
 
     def _count_error(self, error: Exception) -> None:

@@ -29,5 +29,7 @@ def node_class(type_name: str) -> "type[Node[Any]]":
 
     cls = find_class("type", type_name, NODE_TYPES, SettingsError)
     if not (isinstance(cls, type) and issubclass(cls, Node)):
-        raise SettingsError(f'type "{type_name}": not a subclass of sparseskin.nodes.node.Node')
+        raise SettingsError(
+            f'type "{type_name}": not a subclass of sparseskin.nodes.node.Node'
+        )
     return cls

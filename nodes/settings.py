@@ -72,7 +72,11 @@ class Settings:
                     f"(allowed: {', '.join(live) or 'none'})"
                 )
             registered = fields[key].metadata["range"].known
-            if registered and changes[key] is not None and changes[key] not in registered:
+            if (
+                registered
+                and changes[key] is not None
+                and changes[key] not in registered
+            ):
                 # A module of the user's own is imported for a launch file only.
                 raise SettingsError(
                     f"{key}: {changes[key]!r} is not allowed while the graph runs"
@@ -84,7 +88,11 @@ class Settings:
 
     def live_values(self) -> dict[str, Any]:
         """Values of the settings that can be changed while the graph runs."""
-        return {name: getattr(self, name) for name, _, allowed in _declared(self) if allowed.live}
+        return {
+            name: getattr(self, name)
+            for name, _, allowed in _declared(self)
+            if allowed.live
+        }
 
     @classmethod
     def described(cls) -> list[dict[str, Any]]:
@@ -111,7 +119,9 @@ class Settings:
 class PatchSettings(Settings):
     """Settings of a node that serves one patch of skin."""
 
-    patch: str = setting("skin", "name of the patch of skin, the first part of its topics")
+    patch: str = setting(
+        "skin", "name of the patch of skin, the first part of its topics"
+    )
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -123,7 +133,8 @@ class PatchesSettings(PatchSettings):
     """Settings of a node that serves one patch, or several equal ones in one message each way."""
 
     patches: tuple[str, ...] = setting(
-        (), "names of several patches with the same skin; patch is then the name of them all"
+        (),
+        "names of several patches with the same skin; patch is then the name of them all",
     )
 
     def __post_init__(self) -> None:
@@ -162,7 +173,9 @@ def check_patches(place: str, names: tuple[str, ...]) -> None:
         if name in names[:k]:
             raise SettingsError(f"{place}[{k}]: '{name}' occurs twice")
     if len(" ".join(names)) > MAX_NAMES:
-        raise SettingsError(f"{place}: more than {MAX_NAMES} characters of names in all")
+        raise SettingsError(
+            f"{place}: more than {MAX_NAMES} characters of names in all"
+        )
 
 
 def _if_finite(limit: float) -> float | None:
@@ -172,8 +185,14 @@ def _if_finite(limit: float) -> float | None:
 def _declared(cls: Any) -> Iterator[tuple[str, str, Range]]:
     """Name, type and range of every setting."""
     for field in dataclasses.fields(cls):
-        text = getattr(field.type, "__name__", "") if isinstance(field.type, type) else ""
-        yield field.name, text or str(field.type).replace("typing.", ""), field.metadata["range"]
+        text = (
+            getattr(field.type, "__name__", "") if isinstance(field.type, type) else ""
+        )
+        yield (
+            field.name,
+            text or str(field.type).replace("typing.", ""),
+            field.metadata["range"],
+        )
 
 
 def _checked(name: str, value: Any, hint: Any) -> Any:
@@ -225,6 +244,10 @@ def _check_range(name: str, value: Any, allowed: Range) -> None:
     elif isinstance(value, float) or is_whole(value):
         if not is_real(value, allowed.low, allowed.high):
             value_text = f"{value!r}"[:40]
-            raise SettingsError(f"{name}: {value_text} is outside {allowed.low}..{allowed.high}")
+            raise SettingsError(
+                f"{name}: {value_text} is outside {allowed.low}..{allowed.high}"
+            )
     elif allowed.choices and isinstance(value, str) and value not in allowed.choices:
-        raise SettingsError(f"{name}: {value!r} is not allowed{nearest_of(value, allowed.choices)}")
+        raise SettingsError(
+            f"{name}: {value!r} is not allowed{nearest_of(value, allowed.choices)}"
+        )

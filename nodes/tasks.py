@@ -40,8 +40,12 @@ def make_executor(spec: str) -> Executor:
     if spec == "serial":
         return ThreadPoolExecutor(1)
     kind, colon, argument = spec.partition(":")
-    if not (kind and colon and argument) or (argument.isdecimal() and kind not in KINDS):
-        raise SettingsError(f"--executor {spec}: expected {FORMS}{did_you_mean(kind, KINDS)}")
+    if not (kind and colon and argument) or (
+        argument.isdecimal() and kind not in KINDS
+    ):
+        raise SettingsError(
+            f"--executor {spec}: expected {FORMS}{did_you_mean(kind, KINDS)}"
+        )
     if kind in KINDS:
         if not argument.isdecimal() or not 1 <= int(argument) <= MAX_WORKERS:
             raise SettingsError(f"--executor {spec}: expected 1..{MAX_WORKERS} workers")
@@ -50,12 +54,16 @@ def make_executor(spec: str) -> Executor:
         for threads in SINGLE_THREADED:
             os.environ.setdefault(threads, "1")
         # Spawned: a forked worker would inherit locks held by threads of this process.
-        return ProcessPoolExecutor(int(argument), mp_context=multiprocessing.get_context("spawn"))
+        return ProcessPoolExecutor(
+            int(argument), mp_context=multiprocessing.get_context("spawn")
+        )
     make = find_callable(spec, SettingsError)
     try:
         executor = make()
     except Exception as error:
-        raise SettingsError(f"--executor {spec}: {type(error).__name__}: {error}") from error
+        raise SettingsError(
+            f"--executor {spec}: {type(error).__name__}: {error}"
+        ) from error
     if not isinstance(executor, Executor):
         raise SettingsError(
             f"--executor {spec}: made {type(executor).__name__}, "
@@ -81,7 +89,10 @@ def computed(
     try:
         # Ctrl-C reaches the workers too; they inherit that they ignore it.
         with _interrupts_ignored():
-            futures = {executor.submit(_run, function, task): key for key, task in tasks.items()}
+            futures = {
+                executor.submit(_run, function, task): key
+                for key, task in tasks.items()
+            }
         for future in as_completed(futures):
             yield futures[future], future
     except BaseException:

@@ -34,23 +34,31 @@ def parse_toml(text: str, max_chars: int = MAX_CHARS) -> dict[str, Any]:
     for number, line in enumerate(text.splitlines(), start=1):
         # The time that a parser takes for a key grows with the square of its parts.
         if any(part.count(".") > MAX_DOTS for part in _NO_KEY.split(line)):
-            raise ValueError(f"a key of more than {MAX_DOTS} parts (at line {number}, column 1)")
+            raise ValueError(
+                f"a key of more than {MAX_DOTS} parts (at line {number}, column 1)"
+            )
     try:
         tree = tomllib.loads(text)
     except tomllib.TOMLDecodeError:
         raise
     except RecursionError:
-        raise ValueError(f"more than {MAX_DEPTH} tables or lists within each other") from None
+        raise ValueError(
+            f"more than {MAX_DEPTH} tables or lists within each other"
+        ) from None
     except ValueError as error:  # int() refuses thousands of digits, and names no place
         long = _LONG.search(text)
         at = text.count("\n", 0, long.start()) + 1 if long else 1
-        raise ValueError(f"a whole number beyond 64 bits (at line {at}, column 1)") from error
+        raise ValueError(
+            f"a whole number beyond 64 bits (at line {at}, column 1)"
+        ) from error
     waiting: list[tuple[tuple[str, ...], Any]] = [((), tree)]
     while waiting:
         place, value = waiting.pop()
         where = ".".join(place)
         if len(place) > MAX_DEPTH:
-            raise ValueError(f"{where[:80]}: more than {MAX_DEPTH} tables or lists in each other")
+            raise ValueError(
+                f"{where[:80]}: more than {MAX_DEPTH} tables or lists in each other"
+            )
         if isinstance(value, int) and not -INT64_MAX - 1 <= value <= INT64_MAX:
             raise ValueError(f"{where[:80]}: a whole number beyond 64 bits")
         if isinstance(value, dict):

@@ -53,7 +53,8 @@ STUDIES = {
         numpy_only=True,
     ),
     "scene-needs": Study(
-        "which degrees of freedom and terms each scene needs", "sparseskin.studies.needs:run"
+        "which degrees of freedom and terms each scene needs",
+        "sparseskin.studies.needs:run",
     ),
     "accuracy": Study(
         "recordings, moving bodies and frame rates, beside what a user would try first",
@@ -96,12 +97,18 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.formatter_class = argparse.RawDescriptionHelpFormatter
     rare_options = rare(parser)
     summaries = {name: study.summary for name, study in studies().items()}
-    parser.epilog = "\n".join(f"{name:<15} {summary}" for name, summary in summaries.items())
-    name = parser.add_argument("name", metavar="STUDY", help=f"study: {', '.join(summaries)}")
+    parser.epilog = "\n".join(
+        f"{name:<15} {summary}" for name, summary in summaries.items()
+    )
+    name = parser.add_argument(
+        "name", metavar="STUDY", help=f"study: {', '.join(summaries)}"
+    )
     # Read by argcomplete: candidates for the word, and what each means.
     name.completer = lambda **_: summaries  # type: ignore[attr-defined]
     parser.add_argument(
-        "--quick", action="store_true", help="fewer frames and points: to see that it runs"
+        "--quick",
+        action="store_true",
+        help="fewer frames and points: to see that it runs",
     )
     parser.add_argument(
         "--out", metavar="DIR", type=Path, help="folder to write to (default: out/NAME)"
@@ -147,8 +154,12 @@ def _study(arguments: argparse.Namespace) -> int:
     study = by_name[name]
     absent = [package for package in EXTRA if find_spec(package) is None]
     if absent:
-        missing = f"{', '.join(absent)} {'is' if len(absent) == 1 else 'are'} not installed"
-        raise SettingsError(f"study {name}: {missing}: pip install 'sparseskin[charts]'")
+        missing = (
+            f"{', '.join(absent)} {'is' if len(absent) == 1 else 'are'} not installed"
+        )
+        raise SettingsError(
+            f"study {name}: {missing}: pip install 'sparseskin[charts]'"
+        )
     options = {}
     for option in ("recordings", "data", "seeds", "constants", "alone", "worlds"):
         value = getattr(arguments, option)
@@ -156,11 +167,17 @@ def _study(arguments: argparse.Namespace) -> int:
             continue
         if option not in study.options:
             takers = ", ".join(
-                study_name for study_name in by_name if option in by_name[study_name].options
+                study_name
+                for study_name in by_name
+                if option in by_name[study_name].options
             )
-            raise SettingsError(f"--{option}: study {name!r} takes none; allowed: {takers}")
+            raise SettingsError(
+                f"--{option}: study {name!r} takes none; allowed: {takers}"
+            )
         options[option] = value
-    out: Path = arguments.out or Path("out") / (f"{name}-quick" if arguments.quick else name)
+    out: Path = arguments.out or Path("out") / (
+        f"{name}-quick" if arguments.quick else name
+    )
     try:
         out.mkdir(parents=True, exist_ok=True)
     except OSError as error:
@@ -172,7 +189,11 @@ def _study(arguments: argparse.Namespace) -> int:
         from .points import forget
 
         forget(out)
-    common = {"quick": arguments.quick, "seed": arguments.seed, "executor": arguments.executor}
+    common = {
+        "quick": arguments.quick,
+        "seed": arguments.seed,
+        "executor": arguments.executor,
+    }
     for line in run(out=out, **common, **options) or ():
         print(f"- {line}")
     print(out / f"{name}.md")

@@ -142,12 +142,16 @@ class Method:
         flagged = None if error is None and trusted else not trusted
         n_bytes = VALUE_BYTES * phi.m + self._n_code_bytes
         common = self.solver.common_error
-        return Solved(forces, wall_s, cpu_s, self.solver.n_steps, n_bytes, error, flagged, common)
+        return Solved(
+            forces, wall_s, cpu_s, self.solver.n_steps, n_bytes, error, flagged, common
+        )
 
     def reconstruct(self, taxels: Floats) -> Solved:
         """Measure and reconstruct the next frame, rounded to `bits`; see `Estimator`."""
         y = self.measure(taxels)
-        return self.solve(y if self.bits is None else np.asarray(quantised(y, self.bits)))
+        return self.solve(
+            y if self.bits is None else np.asarray(quantised(y, self.bits))
+        )
 
 
 class Alone:
@@ -182,7 +186,9 @@ def make_method(
     settings are used as stated. Raises SettingsError, PhiError or SolverError if a name or setting
     is unknown or not allowed, or the parts do not fit.
     """
-    settings = {key: value for key, value in chosen.items() if key not in ("solver", "basis")}
+    settings = {
+        key: value for key, value in chosen.items() if key not in ("solver", "basis")
+    }
     skin = Skin(*shape, f_max_n, mask=mask)
     phis = CompressorSettings(ratio=ratio, seed=seed, **how).phis(skin, sigma_end)
     basis = make_basis(chosen.get("basis", "haar"), *shape)
@@ -248,7 +254,9 @@ class Scores:
         """Count one frame; truth: float32, shape (n_rows, n_cols), newtons."""
         error = solved.forces - truth
         off, norm = (float(np.linalg.norm(self._taxels(x))) for x in (error, truth))
-        contact = norm > LOADED * self.norm if self.norm else in_contact(truth, self.f_max_n)
+        contact = (
+            norm > LOADED * self.norm if self.norm else in_contact(truth, self.f_max_n)
+        )
         self.psnr_db.append(psnr_db(error, self.f_max_n))
         self.contact.append(contact)
         self.wall_s.append(solved.wall_s)
@@ -258,7 +266,9 @@ class Scores:
         if solved.flagged is not None:
             self.flags.append((solved.flagged, off / norm if contact else math.nan))
         if contact:
-            on_touched = error[truth > CONTACT_FRACTION * self.f_max_n].astype(np.float64)
+            on_touched = error[truth > CONTACT_FRACTION * self.f_max_n].astype(
+                np.float64
+            )
             if on_touched.size:
                 self.touched.append((float(np.mean(on_touched**2)), on_touched.size))
             self.relative.append(off / norm)
@@ -271,13 +281,19 @@ class Scores:
 
     def _taxels(self, image: Floats) -> Doubles:
         """Values of the taxels that exist."""
-        values: Doubles = (image if self.mask is None else image[self.mask]).astype(np.float64)
+        values: Doubles = (image if self.mask is None else image[self.mask]).astype(
+            np.float64
+        )
         return values
 
     @property
     def contact_db(self) -> list[float]:
         """PSNR of each contact frame, dB."""
-        return [psnr for psnr, touches in zip(self.psnr_db, self.contact, strict=True) if touches]
+        return [
+            psnr
+            for psnr, touches in zip(self.psnr_db, self.contact, strict=True)
+            if touches
+        ]
 
 
 def evaluate(

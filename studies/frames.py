@@ -38,7 +38,12 @@ Pairs: TypeAlias = Iterable[tuple[Floats, Floats]]
 
 
 def scene_frames(
-    scene: str, seed: int, first: int = 0, stop: int | None = None, every: int = 1, times: float = 1
+    scene: str,
+    seed: int,
+    first: int = 0,
+    stop: int | None = None,
+    every: int = 1,
+    times: float = 1,
 ) -> Iterator[tuple[Floats, Floats]]:
     """Yield (truth, taxels) of the frames first, first + every, ... below `stop` (None: the end).
 
@@ -92,12 +97,20 @@ class Take:
         """Number of taxels that exist."""
         return int(np.count_nonzero(self.mask))
 
-    def state(self, sigma_mid: float, sigma_end: float, rate_hz: float = 0.0) -> SkinState:
+    def state(
+        self, sigma_mid: float, sigma_end: float, rate_hz: float = 0.0
+    ) -> SkinState:
         """The skin with a noise, newtons, and a frame rate, as a sensor states it."""
         n_rows, n_cols = self.mask.shape
         of_skin = vars(Skin(n_rows, n_cols, self.f_max, mask=self.mask))
         noise = {"sigma_mid": sigma_mid, "sigma_end": sigma_end}
-        common = {"stamp_ns": 0, "patch": "skin", "source": "", "seed": 0, "has_truth": False}
+        common = {
+            "stamp_ns": 0,
+            "patch": "skin",
+            "source": "",
+            "seed": 0,
+            "has_truth": False,
+        }
         return SkinState(**common, **of_skin, **noise, rate_hz=rate_hz)  # type: ignore[arg-type]
 
 
@@ -125,7 +138,11 @@ class SceneFrames:
     def open(self, seed: int) -> Take:
         """See `Frames`."""
         scene = scene_of(self.scene)
-        return Take(np.ones(scene.shape, dtype=np.bool_), scene.f_max_n, lambda: self._parts(seed))
+        return Take(
+            np.ones(scene.shape, dtype=np.bool_),
+            scene.f_max_n,
+            lambda: self._parts(seed),
+        )
 
     def windows(self, seed: int) -> Iterator[tuple[int, int | None]]:
         """First frame and end of each part, counted from the beginning of the scene."""
@@ -170,12 +187,18 @@ class PressFrames:
         mask = np.ones(self.shape, dtype=np.bool_)
         if self.n_scattered is not None:
             mask = scattered_mask(self.shape, self.n_scattered, seed)
-        how: dict[str, Any] = {"course": self.course, "speed": self.speed, "active": self.active}
+        how: dict[str, Any] = {
+            "course": self.course,
+            "speed": self.speed,
+            "active": self.active,
+        }
         how["f_max"] = self.strength * PAPER_F_MAX_N
 
         def parts() -> Iterable[Pairs]:
             press = self.body, self.shape, self.n_frames, seed
-            return [list(press_frames(*press, mask=mask, noise=NOISE, **how))[self.skip :]]
+            return [
+                list(press_frames(*press, mask=mask, noise=NOISE, **how))[self.skip :]
+            ]
 
         return Take(mask, PAPER_F_MAX_N, parts)
 
@@ -198,7 +221,10 @@ class MeetingFrames:
             half_distance = self.radius * (0.6 + 1.4 * abs(np.cos(np.pi * k / 80)))
             truth = np.zeros(places.shape[1:], dtype=np.float32)
             for force, sign in ((0.8, 1), (0.5, -1)):
-                u = np.linalg.norm(places - sign * half_distance * along, axis=0) / self.radius
+                u = (
+                    np.linalg.norm(places - sign * half_distance * along, axis=0)
+                    / self.radius
+                )
                 np.maximum(truth, force * np.sqrt(np.maximum(0, 1 - u * u)), out=truth)
             return truth, NOISE.apply(truth, rng)
 
@@ -354,7 +380,9 @@ def part_of(path: str, n_most: int) -> Part:
     spacing_ms = 1e3 / float(read["rate_hz"]) if "rate_hz" in read else None
     pitch_mm = 1e3 * float(read["pitch_m"]) if "pitch_m" in read else None
     of_recording = mask, float(read["f_max"]), read["unit"], spacing_ms, pitch_mm
-    return Part(frames[part], truth[part], *of_recording, begin, len(frames), norm, total)
+    return Part(
+        frames[part], truth[part], *of_recording, begin, len(frames), norm, total
+    )
 
 
 def _busiest(loaded: np.ndarray[tuple[int], np.dtype[np.bool_]], n_most: int) -> int:
@@ -372,11 +400,15 @@ def files_in(folder: Path) -> list[Path]:
     """
     allowed = (*suffixes(), FILE_SUFFIX)
     try:
-        files = sorted(path for path in folder.iterdir() if path.suffix.lower() in allowed)
+        files = sorted(
+            path for path in folder.iterdir() if path.suffix.lower() in allowed
+        )
     except OSError as error:
         raise StudyError(f"--recordings {folder}: {error.strerror}") from error
     if not files:
-        raise StudyError(f"--recordings {folder}: no recording; allowed are {', '.join(allowed)}")
+        raise StudyError(
+            f"--recordings {folder}: no recording; allowed are {', '.join(allowed)}"
+        )
     return files
 
 

@@ -107,7 +107,11 @@ class Candidate:
             # down, and a half keeps it from rounding errors.
             rows = values_that_fit(at.phi, mask, m_of(take.n, at.ratio))
             at = replace(at, ratio=take.n / (rows + 0.5))
-        skin: dict[str, Any] = {"mask": mask, "f_max_n": take.f_max, "sigma_end": take.sigma_end}
+        skin: dict[str, Any] = {
+            "mask": mask,
+            "f_max_n": take.f_max,
+            "sigma_end": take.sigma_end,
+        }
         how: dict[str, Any] = {"rows": at.rows, "phi": at.phi, "block": at.block}
         method = make_method(settings, mask.shape, at.ratio, seed, **how, **skin)
         method.bits = at.bits
@@ -154,7 +158,9 @@ class Experiment:
 
     def points(self) -> list[dict[str, Any]]:
         """Points as `scored` takes them."""
-        candidates = {name: asdict(candidate) for name, candidate in self.candidates.items()}
+        candidates = {
+            name: asdict(candidate) for name, candidate in self.candidates.items()
+        }
         groups = [candidates]
         if self.timed:
             # Alone: candidates of one point run in turn.
@@ -168,7 +174,10 @@ class Experiment:
                 "scores": list(self.scores),
             }
             for frames, measurement, group, seed in product(
-                map(stated, self.frames), map(asdict, self.measurements), groups, self.seeds
+                map(stated, self.frames),
+                map(asdict, self.measurements),
+                groups,
+                self.seeds,
             )
         ]
 
@@ -178,7 +187,9 @@ class Experiment:
         its scores, and refused: why it could not be run, or "".
         """
         points = self.points()
-        results = compute(scored, points, out, TIMED_ON if self.timed else executor, self.label)
+        results = compute(
+            scored, points, out, TIMED_ON if self.timed else executor, self.label
+        )
         keys = [{**p["frames"], **p["measurement"], "seed": p["seed"]} for p in points]
         return method_rows(keys, results).drop(columns="kind", errors="ignore")
 
@@ -205,13 +216,17 @@ def scored(point: dict[str, Any]) -> dict[str, Any]:
         evaluate(estimators, part, scores, take.unscored)
     methods = {}
     for name, score in scores.items():
-        figures = {of: None if score.refused else SCORES[of](score) for of in point["scores"]}
+        figures = {
+            of: None if score.refused else SCORES[of](score) for of in point["scores"]
+        }
         methods[name] = {"refused": score.refused, **figures}
     return {"methods": methods}
 
 
 def method_rows(
-    keys: Sequence[Mapping[str, Any]], found: Sequence[Mapping[str, Any]], name: str = "method"
+    keys: Sequence[Mapping[str, Any]],
+    found: Sequence[Mapping[str, Any]],
+    name: str = "method",
 ) -> pd.DataFrame:
     """A row a point and method: keys of the point, the method in column `name`, its figures of
     `found`.
@@ -234,13 +249,18 @@ def _mean(values: Sequence[float | bool], times: float = 1.0) -> float | None:
     return times * float(np.mean(values)) if len(values) else None
 
 
-def _percentile(values: Sequence[float], percent: float, times: float = 1.0) -> float | None:
+def _percentile(
+    values: Sequence[float], percent: float, times: float = 1.0
+) -> float | None:
     return times * float(np.percentile(values, percent)) if values else None
 
 
 def _firsts(scores: Scores) -> list[bool]:
     """Marks of the contact frames whose last one was not in contact."""
-    return [touches and not touched for touched, touches in pairwise([False, *scores.contact])]
+    return [
+        touches and not touched
+        for touched, touches in pairwise([False, *scores.contact])
+    ]
 
 
 def _touched_mn(scores: Scores) -> float | None:
@@ -257,7 +277,9 @@ def _flagged(scores: Scores, least: float, most: float) -> list[bool]:
 
 def _marked(scores: Scores) -> list[float]:
     """Relative errors of the contact frames that are marked."""
-    return [relative for flag, relative in scores.flags if flag and not math.isnan(relative)]
+    return [
+        relative for flag, relative in scores.flags if flag and not math.isnan(relative)
+    ]
 
 
 def _of_contact(score: Callable[[Scores], Any]) -> Callable[[Scores], Any]:
@@ -278,7 +300,9 @@ SCORES: dict[str, Callable[[Scores], Any]] = {
     # Relative error of contact frames in %, and part of them that has vanished.
     "median": _of_contact(lambda s: 100 * float(np.median(s.relative))),
     "mean": _of_contact(lambda s: _mean(s.relative, 100)),
-    "vanished": _of_contact(lambda s: _mean([error >= VANISHED for error in s.relative], 100)),
+    "vanished": _of_contact(
+        lambda s: _mean([error >= VANISHED for error in s.relative], 100)
+    ),
     # Part of the untouched frames that are ghosts; of all, wrong and right frames that are marked.
     "ghosts": lambda s: _mean(s.ghosts, 100),
     "flagged": lambda s: _mean([flag for flag, _ in s.flags], 100),
@@ -290,7 +314,9 @@ SCORES: dict[str, Callable[[Scores], Any]] = {
     "n_flagged": lambda s: len(_marked(s)),
     "flagged_poor": lambda s: _mean([relative > POOR for relative in _marked(s)], 100),
     # Estimated over true RMS error of contact frames; part of them within a factor.
-    "estimate_close": lambda s: _mean([1 / CLOSE < ratio < CLOSE for ratio in s.estimates], 100),
+    "estimate_close": lambda s: _mean(
+        [1 / CLOSE < ratio < CLOSE for ratio in s.estimates], 100
+    ),
     **{
         f"estimate_{name}": lambda s, percent=percent: _percentile(s.estimates, percent)  # type: ignore[misc]
         for name, percent in (("low", 5), ("median", 50), ("high", 95))

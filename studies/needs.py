@@ -12,7 +12,12 @@ import pandas as pd
 
 from sparseskin.nodes.numerics.arrays import Floats
 from sparseskin.nodes.sensor.noise import NoiseModel
-from sparseskin.nodes.sensor.scenes.bodies import Body, metal_peg, monkey_wrench, wooden_cube
+from sparseskin.nodes.sensor.scenes.bodies import (
+    Body,
+    metal_peg,
+    monkey_wrench,
+    wooden_cube,
+)
 from sparseskin.nodes.sensor.scenes.scenes import SCENES, SKIN_ON_GROUND, TAXEL_RADIUS_M
 from sparseskin.nodes.sensor.scenes.simulation import (
     SMOOTHING_STEPS,
@@ -76,7 +81,9 @@ def variants(scene: Scene) -> dict[str, Variant]:
     step_ns = scene.dt_ns // FINER
     finer = Variant(False, replace(scene, n_steps=steps, dt_ns=step_ns), finer=FINER)
     variants = {
-        "damping of the skin": Variant(True, replace(scene, surface=replace(surface, damping=0.0))),
+        "damping of the skin": Variant(
+            True, replace(scene, surface=replace(surface, damping=0.0))
+        ),
         "round taxels": Variant(True, replace(scene, body=needles)),
         "moving average": Variant(True, scene, smoothing_steps=1),
         "pitch": _with_or_without(scene, "pitch"),
@@ -86,16 +93,22 @@ def variants(scene: Scene) -> dict[str, Variant]:
     }
     if grounded:
         deadened = replace(surface, ground_damping=0.0)
-        variants["damping of the ground"] = Variant(True, replace(scene, surface=deadened))
+        variants["damping of the ground"] = Variant(
+            True, replace(scene, surface=deadened)
+        )
     if len(dof) == 1:
-        variants["pitch and roll"] = Variant(False, replace(scene, dof=("z", "pitch", "roll")))
+        variants["pitch and roll"] = Variant(
+            False, replace(scene, dof=("z", "pitch", "roll"))
+        )
     return variants
 
 
 def _with_or_without(scene: Scene, axis: Any) -> Variant:
     carried = axis in scene.dof
     if carried:
-        return Variant(True, replace(scene, dof=tuple(a for a in scene.dof if a != axis)))
+        return Variant(
+            True, replace(scene, dof=tuple(a for a in scene.dof if a != axis))
+        )
     return Variant(False, replace(scene, dof=(*scene.dof, axis)))
 
 
@@ -114,7 +127,9 @@ def measure(point: dict[str, Any]) -> dict[str, Any]:
     rng = np.random.default_rng(point["seed"])
     changes = []
     noises = []
-    for ours, theirs in zip(Variant(True, scene).frames(), variant.frames(), strict=True):
+    for ours, theirs in zip(
+        Variant(True, scene).frames(), variant.frames(), strict=True
+    ):
         if any(in_contact(frame, scene.f_max_n) for frame in (ours, theirs)):
             noise = noise_model.apply(ours, rng) - ours
             changes.append(float(np.mean(np.square(theirs - ours), dtype=np.float64)))
@@ -146,12 +161,15 @@ def points(quick: bool, seed: int) -> list[dict[str, Any]]:
 
 def run(out: Path, quick: bool, seed: int, executor: str) -> list[str]:
     """Compute the study, write its page and return its conclusion; see `command.Study`."""
-    rows = pd.DataFrame(compute_rows(measure, points(quick, seed), out, executor, "scene needs"))
+    rows = pd.DataFrame(
+        compute_rows(measure, points(quick, seed), out, executor, "scene needs")
+    )
     rows["verdict"] = rows.apply(verdict, axis=1)
     page = Page(out, "scene-needs", Path(__file__).with_suffix(".md"), quick)
     page.section("", _draw(out, rows), summary(rows))
     tables = [
-        (f"**{scene}**", _table(of_scene)) for scene, of_scene in rows.groupby("scene", sort=False)
+        (f"**{scene}**", _table(of_scene))
+        for scene, of_scene in rows.groupby("scene", sort=False)
     ]
     page.section("Each scene", *(part for pair in tables for part in pair))
     page.csv("scene-needs", rows)
@@ -201,7 +219,9 @@ def _table(rows: pd.DataFrame) -> pd.DataFrame:
     verdicts = []
     for row in rows.to_dict("records"):
         left_out = LEFT_OUT.get((row["scene"], row["variant"]))
-        reason = {"kept": KEPT.get(row["variant"]), "left out": left_out}.get(row["verdict"])
+        reason = {"kept": KEPT.get(row["variant"]), "left out": left_out}.get(
+            row["verdict"]
+        )
         verdicts.append(f"{row['verdict']}: {reason}" if reason else row["verdict"])
     return pd.DataFrame(
         {
@@ -218,14 +238,26 @@ def _table(rows: pd.DataFrame) -> pd.DataFrame:
 def _draw(out: Path, rows: pd.DataFrame) -> str:
     scenes = list(rows["scene"].unique())
     names = list(rows["variant"].unique())[::-1]
-    caption = "Change of each scene's frames, in dB as PSNR: the further left, the larger."
-    how: dict[str, Any] = {"size_in": (9.5, 3.2 * -(-len(scenes) // 3) + 1.1), "legend_columns": 5}
+    caption = (
+        "Change of each scene's frames, in dB as PSNR: the further left, the larger."
+    )
+    how: dict[str, Any] = {
+        "size_in": (9.5, 3.2 * -(-len(scenes) // 3) + 1.1),
+        "legend_columns": 5,
+    }
     with Chart(out, "scene-needs", caption, len(scenes), 3, **how) as chart:
         for k, (axes, scene) in enumerate(zip(chart.panels, scenes, strict=True)):
             mine = rows[rows["scene"] == scene]
             noise_db = mine["noise_db"].iloc[0]
-            axes.axvspan(10.0, noise_db, color="#dddddd", zorder=0, label="above the noise")
-            style: dict[str, Any] = {"ha": "center", "va": "top", "color": "0.3", "fontsize": 8}
+            axes.axvspan(
+                10.0, noise_db, color="#dddddd", zorder=0, label="above the noise"
+            )
+            style: dict[str, Any] = {
+                "ha": "center",
+                "va": "top",
+                "color": "0.3",
+                "fontsize": 8,
+            }
             texts = "above the noise:\nneeded", "below the noise:\ncan be left out"
             for edge, text in zip((10.0, 105.0), texts, strict=True):
                 axes.text((edge + noise_db) / 2, len(names) + 0.75, text, **style)
@@ -239,7 +271,14 @@ def _draw(out: Path, rows: pd.DataFrame) -> str:
                 worst = of_kind["worst_db"]
                 axes.hlines(heights, worst, changes, color=colour, lw=1.0)
                 axes.plot(changes, heights, marker, color=colour, label=label)
-                axes.plot(worst, heights, "|", color=colour, ms=9, label=f"{label}: worst frame")
+                axes.plot(
+                    worst,
+                    heights,
+                    "|",
+                    color=colour,
+                    ms=9,
+                    label=f"{label}: worst frame",
+                )
             axes.set(xlim=(10.0, 105.0), ylim=(-0.6, len(names) + 0.9), title=scene)
             axes.set_yticks(range(len(names)), [""] * len(names) if k % 3 else names)
         chart.figure.suptitle(

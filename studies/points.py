@@ -43,7 +43,11 @@ class StudyError(SparseskinError):
 
 
 def compute(
-    function: Function, points: Sequence[Point], out: Path, executor_name: str, label: str
+    function: Function,
+    points: Sequence[Point],
+    out: Path,
+    executor_name: str,
+    label: str,
 ) -> list[Figures]:
     """Compute the points that are not known yet, and return the figures of all, in their order.
 
@@ -62,11 +66,18 @@ def compute(
         records = _read(file)
         figures_of_key = {key: record["figures"] for key, record in records.items()}
         every = dict(zip(keys, map(dict, points), strict=True))
-        missing = {key: point for key, point in every.items() if key not in figures_of_key}
+        missing = {
+            key: point for key, point in every.items() if key not in figures_of_key
+        }
         _log_known(
-            label, set(keys), [records[k]["code"] != code for k in set(keys) & set(figures_of_key)]
+            label,
+            set(keys),
+            [records[k]["code"] != code for k in set(keys) & set(figures_of_key)],
         )
-        names = {"label": label, "function": f"{function.__module__}:{function.__qualname__}"}
+        names = {
+            "label": label,
+            "function": f"{function.__module__}:{function.__qualname__}",
+        }
         bare = not missing or not sys.stderr.isatty()
         with tqdm(total=len(missing), desc=label, unit="point", disable=bare) as bar:
             for key, figures in _computed(function, missing, executor_name):
@@ -78,12 +89,19 @@ def compute(
                 figures_of_key[key] = json.loads(line)["figures"]
                 bar.update()
         if missing and bare:
-            print(f"{label}: {len(missing)} of {len(set(keys))} points computed", file=sys.stderr)
+            print(
+                f"{label}: {len(missing)} of {len(set(keys))} points computed",
+                file=sys.stderr,
+            )
     return [figures_of_key[key] for key in keys]
 
 
 def compute_rows(
-    function: Function, points: Sequence[Point], out: Path, executor_name: str, label: str
+    function: Function,
+    points: Sequence[Point],
+    out: Path,
+    executor_name: str,
+    label: str,
 ) -> list[Figures]:
     """Return each point together with its figures as one dict; see `compute`."""
     figures = compute(function, points, out, executor_name, label)
@@ -143,7 +161,9 @@ def _read(file: BinaryIO) -> dict[str, dict[str, Any]]:
         try:
             record = json.loads(line)
             if record.get("version") == STUDY_VERSION:
-                records[record["key"]] = {key: record[key] for key in ("figures", "code")}
+                records[record["key"]] = {
+                    key: record[key] for key in ("figures", "code")
+                }
         except (ValueError, TypeError, KeyError, AttributeError):
             break
         whole += len(line)
@@ -161,7 +181,9 @@ def _computed(
                 figures = future.result()
                 json.dumps(figures, allow_nan=False)
             except Exception as error:
-                point = ", ".join(f"{name} = {value}" for name, value in missing[key].items())
+                point = ", ".join(
+                    f"{name} = {value}" for name, value in missing[key].items()
+                )
                 fault = error if isinstance(error, SparseskinError) else one_line(error)
                 raise StudyError(f"point {point}: {fault}") from error
             yield key, figures

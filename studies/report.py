@@ -17,10 +17,28 @@ from .points import StudyError
 Rows: TypeAlias = "pd.DataFrame | Sequence[Mapping[str, Any]]"
 
 #: Okabe and Ito's colours, distinguishable for colour-blind readers; black last, for references.
-PALETTE = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#F0E442", "#000000")
+PALETTE = (
+    "#0072B2",
+    "#D55E00",
+    "#009E73",
+    "#CC79A7",
+    "#E69F00",
+    "#56B4E9",
+    "#F0E442",
+    "#000000",
+)
 #: Markers and line styles differ where colours do: charts are readable in grey print.
 MARKERS = ("o", "s", "^", "D", "v", "P", "X", "*")
-LINES = ("-", "--", "-.", ":", (0, (5, 1)), (0, (3, 1, 1, 1, 1, 1)), (0, (1, 1)), (0, (8, 2)))
+LINES = (
+    "-",
+    "--",
+    "-.",
+    ":",
+    (0, (5, 1)),
+    (0, (3, 1, 1, 1, 1, 1)),
+    (0, (1, 1)),
+    (0, (8, 2)),
+)
 PNG_DPI = 150
 QUICK = "**A quick run: few frames and points. It shows that the study runs, and little else.**"
 _STYLE: Any = {
@@ -80,7 +98,9 @@ class Chart:
             self.figure = Figure(figsize=size_in, layout="constrained")
             FigureCanvasAgg(self.figure)
             n_rows = -(-n_panels // n_columns)
-            grid = list(self.figure.subplots(n_rows, n_columns, squeeze=False, **subplots).flat)
+            grid = list(
+                self.figure.subplots(n_rows, n_columns, squeeze=False, **subplots).flat
+            )
         self.panels: list[Axes] = grid[:n_panels]
         for unused in grid[n_panels:]:
             unused.set_axis_off()
@@ -109,9 +129,14 @@ class Chart:
         if self._legend_columns:
             entries: dict[str, Any] = {}
             for axes in self.figure.axes:
-                for handle, label in zip(*axes.get_legend_handles_labels(), strict=True):
+                for handle, label in zip(
+                    *axes.get_legend_handles_labels(), strict=True
+                ):
                     entries.setdefault(label, handle)
-            place: dict[str, Any] = {"loc": "outside lower center", "ncols": self._legend_columns}
+            place: dict[str, Any] = {
+                "loc": "outside lower center",
+                "ncols": self._legend_columns,
+            }
             self.figure.legend(list(entries.values()), list(entries), **place)
         # The layout takes longer than the drawing, and each file would have four of its own; the
         # second one is nearer to the margins than the first.
@@ -155,11 +180,16 @@ def markdown(frame: pd.DataFrame, formats: Mapping[str, str] | str = "") -> str:
             return ""
         return str(value) if isinstance(value, str) or not spec else format(value, spec)
 
-    spec_of = [formats if isinstance(formats, str) else formats.get(column, "") for column in frame]
+    spec_of = [
+        formats if isinstance(formats, str) else formats.get(column, "")
+        for column in frame
+    ]
     # Of objects, so that whole numbers stay such in a row with others.
     lines = [list(map(str, frame)), ["---"] * len(spec_of)]
     for row in frame.astype(object).itertuples(index=False):
-        lines.append([cell(value, spec) for value, spec in zip(row, spec_of, strict=True)])
+        lines.append(
+            [cell(value, spec) for value, spec in zip(row, spec_of, strict=True)]
+        )
     return "\n".join("| " + " | ".join(line) + " |" for line in lines)
 
 
@@ -176,12 +206,16 @@ class Page:
     that its figures are those of a quick run; `command` that computes it (default: the study).
     """
 
-    def __init__(self, out: Path, name: str, notes: Path, quick: bool, command: str = "") -> None:
+    def __init__(
+        self, out: Path, name: str, notes: Path, quick: bool, command: str = ""
+    ) -> None:
         self.out = out
         self._name = name
         self._quick = quick
         self._command = command or f"study {name}{' --quick' if quick else ''}"
-        head, *parts = notes.read_text(encoding="utf-8").removeprefix("# ").split("\n## ")
+        head, *parts = (
+            notes.read_text(encoding="utf-8").removeprefix("# ").split("\n## ")
+        )
         self._title, _, opening = head.partition("\n")
         self._notes = dict(part.split("\n", 1) for part in parts) | {"": opening}
         self._sections: list[tuple[str, list[str]]] = []
@@ -195,7 +229,9 @@ class Page:
             self._notes[title].strip().format(**values),
             *(p for p in parts if len(p)),
         ]
-        texts = [markdown(p) if isinstance(p, pd.DataFrame) else p for p in texts_and_tables]
+        texts = [
+            markdown(p) if isinstance(p, pd.DataFrame) else p for p in texts_and_tables
+        ]
         self._sections.append((title, list(filter(None, texts))))
 
     def csv(self, name: str, rows: Rows) -> None:
@@ -220,7 +256,10 @@ class Page:
             lines += [f"## {title}", ""] if title else []
             lines += [line for part in parts for line in (part, "")]
         files = ", ".join(self._files)
-        lines += [f"All figures: {files}. Computed by `sparseskin {self._command}`.", ""]
+        lines += [
+            f"All figures: {files}. Computed by `sparseskin {self._command}`.",
+            "",
+        ]
         path = self.out / f"{self._name}.md"
         try:
             path.write_text("\n".join(lines), encoding="utf-8")

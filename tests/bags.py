@@ -7,7 +7,14 @@ import numpy as np
 
 from sparseskin.launch.commands.cli import make_parser
 from sparseskin.launch.launchfile.load import load
-from sparseskin.messages import Measurements, Reconstruction, SkinState, Taxels, Truth, encode
+from sparseskin.messages import (
+    Measurements,
+    Reconstruction,
+    SkinState,
+    Taxels,
+    Truth,
+    encode,
+)
 from sparseskin.messages.base import Message
 from sparseskin.nodes.bus import Bus
 from sparseskin.nodes.clock import Clock, ManualClock
@@ -30,9 +37,26 @@ MASK[2, 3] = False
 
 def skin_state(patch: str = "skin", **changes: Any) -> SkinState:
     """The state of a small skin, with changed fields."""
-    values: dict[str, Any] = {"stamp_ns": 0, "patch": patch, "n_rows": N_ROWS, "n_cols": N_COLS}
-    values |= {"f_max": 2.5, "unit": "N", "pitch_m": 0.005, "mask": MASK, "source": "test"}
-    values |= {"seed": 3, "rate_hz": 100.0, "has_truth": True, "sigma_mid": 0.06, "sigma_end": 0.01}
+    values: dict[str, Any] = {
+        "stamp_ns": 0,
+        "patch": patch,
+        "n_rows": N_ROWS,
+        "n_cols": N_COLS,
+    }
+    values |= {
+        "f_max": 2.5,
+        "unit": "N",
+        "pitch_m": 0.005,
+        "mask": MASK,
+        "source": "test",
+    }
+    values |= {
+        "seed": 3,
+        "rate_hz": 100.0,
+        "has_truth": True,
+        "sigma_mid": 0.06,
+        "sigma_end": 0.01,
+    }
     return SkinState(**values | changes)
 
 
@@ -61,7 +85,10 @@ def frame(k: int, patch: str = "skin") -> list[Message]:
 
 
 def frames(n_frames: int, patch: str = "skin") -> list[Message]:
-    return [skin_state(patch), *(message for k in range(n_frames) for message in frame(k, patch))]
+    return [
+        skin_state(patch),
+        *(message for k in range(n_frames) for message in frame(k, patch)),
+    ]
 
 
 def record(writer: BagWriter, message: Message) -> bytes:
@@ -97,7 +124,9 @@ def make_bag(path: Path, messages: list[Message], flush_every: int = 40) -> list
     """A whole bag with several chunks; the payloads in it, in order."""
     payloads = []
     # Its chunks end where they are told to, however busy the host.
-    with BagWriter(path, {"scene": "test", "seed": "3"}, monotonic=FakeClock()) as writer:
+    with BagWriter(
+        path, {"scene": "test", "seed": "3"}, monotonic=FakeClock()
+    ) as writer:
         for number, message in enumerate(messages, start=1):
             payloads.append(record(writer, message))
             if number % flush_every == 0:
@@ -113,7 +142,10 @@ STATIONS = {cls.__name__.lower(): cls for cls in (*CHAIN, Monitor, Recorder)}
 def chain(clock: Clock | None = None, **settings: dict[str, Any]) -> Bus:
     """Sensor, compressor, reconstructor and other nodes by their settings, in one process."""
     chosen: dict[str, Any] = {cls.__name__.lower(): {} for cls in CHAIN} | settings
-    nodes = {name: (STATIONS[name], STATIONS[name].Settings(**v)) for name, v in chosen.items()}
+    nodes = {
+        name: (STATIONS[name], STATIONS[name].Settings(**v))
+        for name, v in chosen.items()
+    }
     return Bus(nodes, clock)
 
 

@@ -20,7 +20,9 @@ __all__ = ["COMMAND", "PATIENCE_S", "note_of_graph", "wait_until"]
 
 # No test fails because the host is busy. Few examples of each property, and in CI more.
 hypothesis.settings.register_profile(
-    "busy host", deadline=None, max_examples=int(os.environ.get("SPARSESKIN_EXAMPLES", "25"))
+    "busy host",
+    deadline=None,
+    max_examples=int(os.environ.get("SPARSESKIN_EXAMPLES", "25")),
 )
 hypothesis.settings.load_profile("busy host")
 
@@ -41,7 +43,9 @@ def _own_environment():
         del os.environ[name]
 
 
-COMPILE = "from sparseskin.nodes.numerics.warm_up import compile_loops as c; c('auto', id)"
+COMPILE = (
+    "from sparseskin.nodes.numerics.warm_up import compile_loops as c; c('auto', id)"
+)
 
 
 def pytest_sessionstart(session):
@@ -95,7 +99,9 @@ def forget_user_modules(tmp_path_factory):
     sys.path[:] = path
     for name in set(sys.modules) - modules:
         file = getattr(sys.modules[name], "__file__", None)
-        if file is not None and any(Path(file).is_relative_to(folder) for folder in folders):
+        if file is not None and any(
+            Path(file).is_relative_to(folder) for folder in folders
+        ):
             del sys.modules[name]
 
 
@@ -136,7 +142,9 @@ def mount_disk(tmp_path):
             check=False,
         )
         if mounted.returncode:
-            pytest.skip(f"no small disk: mounting is not permitted ({mounted.stderr.strip()})")
+            pytest.skip(
+                f"no small disk: mounting is not permitted ({mounted.stderr.strip()})"
+            )
         folders.append(folder)
         return folder
 
@@ -151,7 +159,9 @@ def offering(monkeypatch):
     offers = {}
 
     def offer(group, **targets):
-        offers[group] = [EntryPoint(name, target, group) for name, target in targets.items()]
+        offers[group] = [
+            EntryPoint(name, target, group) for name, target in targets.items()
+        ]
         extensions.forget()
 
     real = importlib.metadata.entry_points

@@ -12,7 +12,9 @@ from sparseskin.launch.launchfile.load import LaunchError, load
 from sparseskin.nodes.errors import SparseskinError
 
 
-def refusal(read: Callable[[], object], kind: type[SparseskinError] = SparseskinError) -> str:
+def refusal(
+    read: Callable[[], object], kind: type[SparseskinError] = SparseskinError
+) -> str:
     """The line of a refusal, which can be printed; "" where there is none."""
     line = ""
     try:
@@ -40,7 +42,9 @@ def mutated(data: st.DataObject, raw: bytes) -> bytes:
     made = bytearray(raw)
     for _ in range(data.draw(st.integers(1, 4))):
         start = data.draw(st.integers(0, len(made)))
-        made[start : start + data.draw(st.integers(0, 9))] = data.draw(st.binary(max_size=9))
+        made[start : start + data.draw(st.integers(0, 9))] = data.draw(
+            st.binary(max_size=9)
+        )
     return bytes(made)
 
 

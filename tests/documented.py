@@ -29,7 +29,9 @@ def documented() -> dict[str, dict[Parts, set[str]]]:
                 parts = tuple(path.replace("[]", ".[]").split("."))
                 assert parts not in fields, (name, path)
                 fields[parts] = set(types.split(" / "))
-        for parts, kinds in list(fields.items()):  # lists and objects that only their parts show
+        for parts, kinds in list(
+            fields.items()
+        ):  # lists and objects that only their parts show
             for k in range(1, len(parts)):
                 kind = "list" if parts[k] == "[]" else "object"
                 fields.setdefault(parts[:k], {kind} | kinds & {"absent"})
@@ -41,7 +43,11 @@ def spread(path: str) -> list[str]:
     """The paths that one with {a,b} stands for."""
     head, brace, tail = path.partition("{")
     names, _, rest = tail.partition("}")
-    return [p for name in names.split(",") for p in spread(head + name + rest)] if brace else [path]
+    return (
+        [p for name in names.split(",") for p in spread(head + name + rest)]
+        if brace
+        else [path]
+    )
 
 
 def values_of(document: Any, path: Parts = ()) -> Iterator[tuple[Parts, Any]]:
@@ -57,7 +63,8 @@ def values_of(document: Any, path: Parts = ()) -> Iterator[tuple[Parts, Any]]:
 
 def matches(path: Parts, pattern: Parts) -> bool:
     return len(path) == len(pattern) and all(
-        part == wanted or wanted.isupper() for part, wanted in zip(path, pattern, strict=True)
+        part == wanted or wanted.isupper()
+        for part, wanted in zip(path, pattern, strict=True)
     )
 
 
@@ -77,15 +84,26 @@ def check(document: dict[str, Any]) -> None:
         # The literal name first: `topic` is not a KEY.
         found.sort(key=lambda pattern: sum(part.isupper() for part in pattern))
         if not found:
-            parents = [p for p in fields if len(p) > len(path) and matches(path, p[: len(path)])]
+            parents = [
+                p
+                for p in fields
+                if len(p) > len(path) and matches(path, p[: len(path)])
+            ]
             assert parents, f"{'.'.join(path)} is not documented"
             assert isinstance(value, dict | list), f"{'.'.join(path)} = {value!r}"
             continue
         seen.add(found[0])
         types = fields[found[0]]
-        assert any(TYPES[name](value) for name in types - {"absent"}), (path, value, types)
+        assert any(TYPES[name](value) for name in types - {"absent"}), (
+            path,
+            value,
+            types,
+        )
     for pattern, types in fields.items():
         inside_null = any(
-            fields.get(pattern[:k], set()) & {"null", "list"} for k in range(1, len(pattern))
+            fields.get(pattern[:k], set()) & {"null", "list"}
+            for k in range(1, len(pattern))
         )
-        assert pattern in seen or "absent" in types or inside_null, f"no {'.'.join(pattern)}"
+        assert pattern in seen or "absent" in types or inside_null, (
+            f"no {'.'.join(pattern)}"
+        )

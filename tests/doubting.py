@@ -16,7 +16,9 @@ class DoubtingSolver(Solver):
 
     name = "doubting"
 
-    def __init__(self, phi: Any, basis: Any, mask: Any, n_doubted: int = 0, period: int = 1):
+    def __init__(
+        self, phi: Any, basis: Any, mask: Any, n_doubted: int = 0, period: int = 1
+    ):
         super().__init__(phi, basis, mask)
         self._n_doubted, self._period = n_doubted, period
         self._n_frames = 0

@@ -55,10 +55,14 @@ def arrays(draw, max_side=6):
     stored = np.asarray(stored, order=draw(st.sampled_from("CF")))
 
     time_name = draw(st.sampled_from(["", *TIME_NAMES]))
-    steps_ms = draw(st.lists(st.integers(8, 40), min_size=sides[0] - 1, max_size=sides[0] - 1))
+    steps_ms = draw(
+        st.lists(st.integers(8, 40), min_size=sides[0] - 1, max_size=sides[0] - 1)
+    )
     ms = np.concatenate([[0], np.cumsum(steps_ms)]).astype(np.int64)
     unit_ns = TIME_NAMES.get(time_name, 1)
-    times = ms * 10**6 // int(unit_ns) if time_name == "stamp_ns" else ms * (1e6 / unit_ns)
+    times = (
+        ms * 10**6 // int(unit_ns) if time_name == "stamp_ns" else ms * (1e6 / unit_ns)
+    )
     return DrawnArray(stored, frames, tuple(axes), time_name, times, ms / 1000)
 
 

@@ -60,7 +60,9 @@ def registered(store: Any, kind: str, text: str) -> Any:
     types = get_types_from_msg(head, kind)
     for part in rest:
         name, _, body = part.partition("\n")
-        types |= get_types_from_msg(body, name.removeprefix("MSG: ").replace("/", "/msg/"))
+        types |= get_types_from_msg(
+            body, name.removeprefix("MSG: ").replace("/", "/msg/")
+        )
     store.register(types)
     return store
 
@@ -80,7 +82,10 @@ def definitions(draw: st.DrawFn) -> tuple[str, str]:
             if draw(st.booleans()):
                 lines.append(f"# a comment\nint32 LIMIT_{k}=5 # of it")
         texts.append("\n".join(lines) + "\n")
-    parts = [texts[-1], *(f"MSG: any_msgs/T{k}\n{texts[k]}" for k in range(n_types - 1))]
+    parts = [
+        texts[-1],
+        *(f"MSG: any_msgs/T{k}\n{texts[k]}" for k in range(n_types - 1)),
+    ]
     return f"any_msgs/msg/T{n_types - 1}", f"{SEPARATOR}\n".join(parts)
 
 
@@ -88,7 +93,9 @@ def value_of(draw: st.DrawFn, store: Any, form: Any) -> Any:
     """A value of a form of rosbags."""
     node, of = form
     if node == Nodetype.NAME:
-        members = [value_of(draw, store, member) for _, member in store.fielddefs[of][1]]
+        members = [
+            value_of(draw, store, member) for _, member in store.fielddefs[of][1]
+        ]
         return store.types[of](*members)
     if node in (Nodetype.ARRAY, Nodetype.SEQUENCE):
         inner, size = of
@@ -98,7 +105,9 @@ def value_of(draw: st.DrawFn, store: Any, form: Any) -> Any:
         return np.array(values, inner[1][0]) if is_number else values
     kind = of[0]
     if kind == "string":
-        return draw(st.text(st.characters(codec="utf-8", exclude_characters="\0"), max_size=5))
+        return draw(
+            st.text(st.characters(codec="utf-8", exclude_characters="\0"), max_size=5)
+        )
     if kind == "bool":
         return draw(st.booleans())
     if kind.startswith("float"):
@@ -154,12 +163,18 @@ class Sent:
 def grids(draw: st.DrawFn) -> Grid:
     kind = draw(st.sampled_from(("image", "cloud", "array", "stream")))
     n_rows, n_cols = draw(st.integers(2, 5)), draw(st.integers(2, 5))
-    dtypes = {"image": ("u1", "<u2", ">f4"), "cloud": ("<f4", ">u2"), "stream": ("<i4",)}
+    dtypes = {
+        "image": ("u1", "<u2", ">f4"),
+        "cloud": ("<f4", ">u2"),
+        "stream": ("<i4",),
+    }
     dtype = draw(st.sampled_from(dtypes.get(kind, ("<f4", "<i2", "<u4"))))
     axes = draw(st.sampled_from((1, 3))) if kind in ("image", "array") else 3
     if kind == "cloud":
         axes = 1
-    labels = draw(st.sampled_from((("rows", "cols"), ("height", "width"), ("cols", "rows"), ())))
+    labels = draw(
+        st.sampled_from((("rows", "cols"), ("height", "width"), ("cols", "rows"), ()))
+    )
     if kind != "array":
         labels = ()
     if not labels and kind == "array":
@@ -176,9 +191,13 @@ def frames_sent(draw: st.DrawFn, grid: Grid, n_most: int = 7) -> list[Sent]:
     now_ns = BEGIN_NS
     for k in range(draw(st.integers(1, n_most))):
         now_ns += draw(st.sampled_from((PERIOD_NS, PERIOD_NS, 3 * PERIOD_NS)))
-        frame = np.arange(grid.n_rows * grid.n_cols).reshape(grid.n_rows, grid.n_cols) + k
+        frame = (
+            np.arange(grid.n_rows * grid.n_cols).reshape(grid.n_rows, grid.n_cols) + k
+        )
         is_none = draw(is_empty)
-        sent.append(Sent(None if is_none else frame, "palm", now_ns - 1_000_000, now_ns))
+        sent.append(
+            Sent(None if is_none else frame, "palm", now_ns - 1_000_000, now_ns)
+        )
     return sent
 
 
@@ -187,7 +206,9 @@ def message_of(store: Any, ros: int, grid: Grid, sent: Sent) -> tuple[str, Any]:
     types = store.types
     time = types["builtin_interfaces/msg/Time"](*divmod(sent.stamp_ns, 10**9))
     numbered = {"seq": 1} if ros == 1 else {}
-    header = types["std_msgs/msg/Header"](**numbered, stamp=time, frame_id=sent.frame_id)
+    header = types["std_msgs/msg/Header"](
+        **numbered, stamp=time, frame_id=sent.frame_id
+    )
     frame = np.zeros((0, 0)) if sent.frame is None else sent.frame
     of_axes = np.stack([-frame, 2 * frame, frame], axis=-1) if grid.axes == 3 else frame
     writers = {"image": _image, "cloud": _cloud, "array": _array, "stream": _stream}
@@ -230,12 +251,18 @@ def _array(types: Any, header: Any, grid: Grid, values: Any) -> tuple[str, Any]:
     flat = transposed.ravel()
     if grid.labels and len(sizes) == 2:
         # The stride of a row is longer than the row.
-        flat = np.pad(transposed, ((0, 0), (0, grid.padding)), constant_values=99).ravel()
+        flat = np.pad(
+            transposed, ((0, 0), (0, grid.padding)), constant_values=99
+        ).ravel()
         steps = [flat.size, sizes[1] + grid.padding]
     offset = grid.padding
     data = np.concatenate([np.full(offset, 77), flat]).astype(grid.dtype)
     made = types["std_msgs/msg/MultiArrayDimension"]
-    dims = [made(*one) for one in zip(labels, sizes, steps, strict=True)] if grid.labels else []
+    dims = (
+        [made(*one) for one in zip(labels, sizes, steps, strict=True)]
+        if grid.labels
+        else []
+    )
     if values.size == 0:
         data = data[:0]
     layout = types["std_msgs/msg/MultiArrayLayout"](dims, offset if values.size else 0)
@@ -244,13 +271,22 @@ def _array(types: Any, header: Any, grid: Grid, values: Any) -> tuple[str, Any]:
 
 def _stream(types: Any, header: Any, grid: Grid, values: Any) -> tuple[str, Any]:
     taxel = types["maker_msgs/msg/Taxel"]
-    taxels = [taxel(1, *map(int, axes)) for axes in values.reshape(-1, 3)] if values.size else []
+    taxels = (
+        [taxel(1, *map(int, axes)) for axes in values.reshape(-1, 3)]
+        if values.size
+        else []
+    )
     modules = [types["maker_msgs/msg/Module"](7, taxels)] if taxels else []
     return STREAM, types[STREAM](header, "skin", modules)
 
 
 def write_bag(
-    folder: Path, storage: str, mode: str, grid: Grid, sent: list[Sent], topic: str = TOPIC
+    folder: Path,
+    storage: str,
+    mode: str,
+    grid: Grid,
+    sent: list[Sent],
+    topic: str = TOPIC,
 ) -> Path:
     """Write a bag: storage "bag", "db3" or "mcap", and mode "", "chunk", "file" or "message" of
     its compression. The path of its file, or of its folder.
@@ -273,7 +309,9 @@ def write_bag(
         if mode == "chunk":
             mode = "storage" if storage == "mcap" else ""
         if mode:
-            writer.set_compression(CompressionMode[mode.upper()], CompressionFormat.ZSTD)
+            writer.set_compression(
+                CompressionMode[mode.upper()], CompressionFormat.ZSTD
+            )
     encode = store.serialize_ros1 if ros == 1 else store.serialize_cdr
     with writer:
         connections: dict[str, Any] = {}
@@ -289,11 +327,15 @@ def files_of(path: Path) -> list[Path]:
     """The files of a bag."""
     if path.is_file():
         return [path]
-    return sorted(file for file in path.iterdir() if file.suffix in (".mcap", ".db3", ".zstd"))
+    return sorted(
+        file for file in path.iterdir() if file.suffix in (".mcap", ".db3", ".zstd")
+    )
 
 
 def interleaved(first: list[Sent], second: list[Sent], frame_id: str) -> list[Sent]:
     """Messages of two frames by turns."""
-    others = [replace(sent, frame_id=frame_id, log_ns=sent.log_ns + 1) for sent in second]
+    others = [
+        replace(sent, frame_id=frame_id, log_ns=sent.log_ns + 1) for sent in second
+    ]
     pairs = itertools.zip_longest(first, others)
     return [sent for pair in pairs for sent in pair if sent is not None]

@@ -7,7 +7,17 @@ import numpy as np
 from hypothesis import strategies as st
 
 NO_NAMES, NUMBERED, GRID_NAMES = "none", "s{k}", "r{r}c{c}"
-TIMES = ["none", "time_s", "time_ms", "t [us]", "stamp", "clock", "epoch", "ts", "micros"]
+TIMES = [
+    "none",
+    "time_s",
+    "time_ms",
+    "t [us]",
+    "stamp",
+    "clock",
+    "epoch",
+    "ts",
+    "micros",
+]
 TIMES += ["date", "datetime"]
 START = datetime(2026, 3, 1, 9, 30, tzinfo=UTC)
 
@@ -65,7 +75,9 @@ def tables(draw):
     texts, time_name, seconds = _times(draw, n)
     names_kind = draw(st.sampled_from([NO_NAMES, NUMBERED, GRID_NAMES]))
     is_named = names_kind != NO_NAMES
-    names = [names_kind.format(k=k, r=k // n_cols, c=k % n_cols) for k in range(n_taxels)]
+    names = [
+        names_kind.format(k=k, r=k // n_cols, c=k % n_cols) for k in range(n_taxels)
+    ]
     in_order = st.just(list(range(n_taxels)))
     order = draw(st.permutations(range(n_taxels)) if is_named else in_order)
     has_decimals = draw(st.booleans())
@@ -102,7 +114,9 @@ def tables(draw):
     if is_named and draw(st.booleans()):
         lines.insert(0, "Pressure logger 3000")
         # Some programs write a setting a line, more of them than a short recording has frames.
-        settings = [f"setting_{k}{separator}{k}" for k in range(draw(st.integers(0, 12)))]
+        settings = [
+            f"setting_{k}{separator}{k}" for k in range(draw(st.integers(0, 12)))
+        ]
         lines = settings * (len(header) > 2) + lines
     if is_named and draw(st.booleans()):
         lines.insert(draw(st.integers(0, len(lines))), "")
@@ -133,7 +147,12 @@ def transposed_tables(draw):
     if draw(st.booleans()):
         lines = [[f"s{k}", *cells] for k, cells in enumerate(lines)]
     seconds = None
-    stated = {"n_rows": n_rows, "n_cols": n_cols, "unit": "counts", "axes": "taxels,frames"}
+    stated = {
+        "n_rows": n_rows,
+        "n_cols": n_cols,
+        "unit": "counts",
+        "axes": "taxels,frames",
+    }
     if draw(st.booleans()):
         seconds = 0.02 * np.arange(n)
         place = draw(st.sampled_from([0, len(lines)]))
@@ -142,4 +161,6 @@ def transposed_tables(draw):
         stated |= {"time": _end(place), "time_unit": "ms"}
     separator = draw(st.sampled_from([",", ";", "\t", " "]))
     text = "\n".join(separator.join(cells) for cells in lines) + "\n"
-    return DrawnTable(text, readings.reshape(n, n_rows, n_cols).astype("f4"), seconds, stated)
+    return DrawnTable(
+        text, readings.reshape(n, n_rows, n_cols).astype("f4"), seconds, stated
+    )

@@ -21,7 +21,13 @@ def contacts(k: int, n: int | None = None) -> Contacts:
     place = {"place_mm": np.ones((1, 3), np.float32)} if n == 1 else {}
     events = {"events": np.array([(0, one, 0) for one in ids], np.int32)} if n else {}
     return Contacts(
-        **{"stamp_ns": k * PERIOD_NS, "patch": "skin", "done_ns": 3, "id": ids, "area": ids},
+        **{
+            "stamp_ns": k * PERIOD_NS,
+            "patch": "skin",
+            "done_ns": 3,
+            "id": ids,
+            "area": ids,
+        },
         **dict.fromkeys(("total", "total_sd", "peak", "age_s"), ones),
         **dict.fromkeys(("centre", "centre_sd", "velocity"), pairs),
         **dict.fromkeys(("over", "sliding"), flags),
@@ -36,10 +42,23 @@ def rich_frames() -> list[Message]:
     found: list[Message] = [
         skin_state(),
         PhiState(
-            stamp_ns=1, patch="skin", kind="sbhe", n=34, m=M, block=32, seed=7, fingerprint=PHI
+            stamp_ns=1,
+            patch="skin",
+            kind="sbhe",
+            n=34,
+            m=M,
+            block=32,
+            seed=7,
+            fingerprint=PHI,
         ),
         SolverState(
-            stamp_ns=1, patch="skin", solver="skin", basis="", preset="", iterations=3, lambda_n=0.0
+            stamp_ns=1,
+            patch="skin",
+            solver="skin",
+            basis="",
+            preset="",
+            iterations=3,
+            lambda_n=0.0,
         ),
     ]
     for k in range(N_FRAMES):
@@ -59,7 +78,9 @@ def rich_frames() -> list[Message]:
             )
         found += [taxels, truth, measurements, reconstruction, contacts(k)]
         if k == 5:
-            found.append(replace(skin_state(), stamp_ns=k * PERIOD_NS, rate_hz=50.0, mask=None))
+            found.append(
+                replace(skin_state(), stamp_ns=k * PERIOD_NS, rate_hz=50.0, mask=None)
+            )
             gains = np.full((N_ROWS, N_COLS), 2.0, np.float32)
             reading = np.arange(3, dtype=np.float32).reshape(3, 1, 1)
             found.append(

@@ -49,18 +49,24 @@ class Graph:
 
     def take(self, message: Message) -> None:
         metrics = self.metrics[message.patch]
-        self.feed.frame(message.patch, message, metrics.add(message), metrics.latency_ns)
+        self.feed.frame(
+            message.patch, message, metrics.add(message), metrics.latency_ns
+        )
 
     def skin(self, patch: str = "skin", **changes: Any) -> SkinState:
         state = skin_state(patch, **changes)
         self.take(state)
         return state
 
-    def frame(self, patch: str = "skin", upto: int = 4, **estimate: Any) -> list[Message]:
+    def frame(
+        self, patch: str = "skin", upto: int = 4, **estimate: Any
+    ) -> list[Message]:
         """The next frame, or the first messages of it; `estimate`: error and trusted."""
         k = self.n[patch]
         self.n[patch] += 1
-        messages = [message.published("0" * 16, k) for message in frame(k, patch)[:upto]]
+        messages = [
+            message.published("0" * 16, k) for message in frame(k, patch)[:upto]
+        ]
         if estimate:
             messages[-1] = replace(messages[-1], **estimate)
         for message in messages:
@@ -68,7 +74,9 @@ class Graph:
         return messages
 
     def summarise(self) -> None:
-        summaries = {patch: metrics.summary() for patch, metrics in self.metrics.items()}
+        summaries = {
+            patch: metrics.summary() for patch, metrics in self.metrics.items()
+        }
         self.feed.update(summaries=summaries)
 
     def answer(self, number: object = "") -> None:
@@ -83,7 +91,9 @@ def served(graph: Graph, page: Any) -> Iterator[None]:
     """The live page of a feed, opened in a browser."""
     server = PageServer(graph.feed, Notices(graph.feed), 0, lambda request: None)
     with contextlib.closing(server):
-        page.get("about:blank")  # an address that differs in its hash alone loads no page
+        page.get(
+            "about:blank"
+        )  # an address that differs in its hash alone loads no page
         page.get(server.url)
         yield
 

@@ -13,7 +13,11 @@ import sys
 from collections.abc import Iterable
 from typing import Any
 
-ENVIRONMENT = {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1", "SPARSESKIN_FAST": "off"}
+ENVIRONMENT = {
+    "OPENBLAS_NUM_THREADS": "1",
+    "OMP_NUM_THREADS": "1",
+    "SPARSESKIN_FAST": "off",
+}
 #: First frame and number of frames of each scene: contact, from before its beginning in some.
 WINDOWS = {
     "lift_box_40": (315, 80),
@@ -28,7 +32,9 @@ ROWS = {"paper": ("paper", "rotating"), "skin": ("fixed", "rotating")}
 ITERATIONS = {"paper": 30, "skin": 24}
 
 
-def golden(scenes: Iterable[str] = WINDOWS, kernel: str | None = "Haswell") -> dict[str, Any]:
+def golden(
+    scenes: Iterable[str] = WINDOWS, kernel: str | None = "Haswell"
+) -> dict[str, Any]:
     """Versions; by "SCENE PRESET ROWS" the SHA-256 of the reconstructed forces, float32, and their
     mean PSNR over the contact frames (some force > 0.01 N), dB, for f_max = 2.5 N.
 
@@ -78,14 +84,22 @@ def main(scenes: Iterable[str]) -> None:
         alone = Bus({"sensor": (sensor.cls, sensor.settings)})
         frames = list(alone.frames(first + count))[first:]
         taxels = [m for messages in frames for m in messages if isinstance(m, Taxels)]
-        truth = np.stack([m.forces[0] for frame in frames for m in frame if isinstance(m, Truth)])
+        truth = np.stack(
+            [m.forces[0] for frame in frames for m in frame if isinstance(m, Truth)]
+        )
         for preset, kinds in ROWS.items():
             for rows in kinds:
                 settings = [f"reconstructor.preset={preset}", f"compressor.rows={rows}"]
                 # Whatever the host has time for.
                 settings += [f"reconstructor.iterations={ITERATIONS[preset]}"]
                 nodes = load(scene, settings).nodes
-                bus = Bus({n: (nodes[n].cls, nodes[n].settings) for n in nodes if n != "monitor"})
+                bus = Bus(
+                    {
+                        n: (nodes[n].cls, nodes[n].settings)
+                        for n in nodes
+                        if n != "monitor"
+                    }
+                )
                 made = [
                     message.forces[0]
                     for taxel in taxels
@@ -97,9 +111,15 @@ def main(scenes: Iterable[str]) -> None:
                 name = f"{scene} {preset} {rows}"
                 hashes[name] = hashlib.sha256(np.stack(made).tobytes()).hexdigest()
                 error = np.stack(made).astype(np.float64) - truth
-                rmse = np.sqrt(np.mean(error**2, axis=(1, 2)))[truth.max(axis=(1, 2)) > 0.01]
+                rmse = np.sqrt(np.mean(error**2, axis=(1, 2)))[
+                    truth.max(axis=(1, 2)) > 0.01
+                ]
                 psnr_db[name] = round(float(np.mean(20 * np.log10(2.5 / rmse))), 4)
-    print(json.dumps({"versions": versions(), "hashes": hashes, "psnr_db": psnr_db}, indent=2))
+    print(
+        json.dumps(
+            {"versions": versions(), "hashes": hashes, "psnr_db": psnr_db}, indent=2
+        )
+    )
 
 
 if __name__ == "__main__":

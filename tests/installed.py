@@ -18,10 +18,15 @@ def installed(name, folder, monkeypatch):
     shutil.copy2(PACKAGES / name / f"{name}.py", folder)
     info = folder / f"{name}-{project['version']}.dist-info"
     info.mkdir()
-    (info / "METADATA").write_text(f"Name: {project['name']}\nVersion: {project['version']}\n")
+    (info / "METADATA").write_text(
+        f"Name: {project['name']}\nVersion: {project['version']}\n"
+    )
     lines = []
     for group, points in project["entry-points"].items():
-        lines += [f"[{group}]", *(f"{name} = {target}" for name, target in points.items())]
+        lines += [
+            f"[{group}]",
+            *(f"{name} = {target}" for name, target in points.items()),
+        ]
     (info / "entry_points.txt").write_text("\n".join(lines))
     monkeypatch.syspath_prepend(folder)
     extensions.forget()

@@ -42,7 +42,9 @@ class OneJoint(_Device, Robot):
 
     @property
     def observation_features(self) -> dict[str, Any]:
-        return JOINT | {key: (one.height, one.width, 3) for key, one in self.cameras.items()}
+        return JOINT | {
+            key: (one.height, one.width, 3) for key, one in self.cameras.items()
+        }
 
     def connect(self, calibrate: bool = True) -> None:
         for one in self.cameras.values():
@@ -50,7 +52,9 @@ class OneJoint(_Device, Robot):
         self.is_connected = True
 
     def get_observation(self) -> dict[str, Any]:
-        return {"joint.pos": 0.5} | {key: one.read_latest() for key, one in self.cameras.items()}
+        return {"joint.pos": 0.5} | {
+            key: one.read_latest() for key, one in self.cameras.items()
+        }
 
     def send_action(self, action: dict[str, Any]) -> dict[str, Any]:
         return action

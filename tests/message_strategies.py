@@ -31,7 +31,9 @@ def sent(message: Message) -> tuple[bytes, Payload]:
 
 
 texts = st.text(
-    st.characters(codec="utf-8", exclude_categories=["Cs", "Cc"]), min_size=0, max_size=32
+    st.characters(codec="utf-8", exclude_categories=["Cs", "Cc"]),
+    min_size=0,
+    max_size=32,
 )
 
 
@@ -57,7 +59,9 @@ def of_kind(kind: FieldKind, n_patches: int) -> st.SearchStrategy[Any] | None:
     return None
 
 
-def scalars(cls: type[Message], names: tuple[str, ...] = ()) -> dict[str, st.SearchStrategy[Any]]:
+def scalars(
+    cls: type[Message], names: tuple[str, ...] = ()
+) -> dict[str, st.SearchStrategy[Any]]:
     """Strategies of the fields of a class that are numbers and texts; `names` of the patches."""
     n_patches = len(names) or 1
     found = {name: of_kind(kind, n_patches) for name, kind in wire_fields(cls).items()}
@@ -65,7 +69,9 @@ def scalars(cls: type[Message], names: tuple[str, ...] = ()) -> dict[str, st.Sea
     return {name: strategy for name, strategy in found.items() if strategy is not None}
 
 
-def made(cls: type[Message], **others: st.SearchStrategy[Any]) -> st.SearchStrategy[Message]:
+def made(
+    cls: type[Message], **others: st.SearchStrategy[Any]
+) -> st.SearchStrategy[Message]:
     """Any message of a class; `others`: its arrays, and fields that depend on each other."""
     return st.builds(cls, **scalars(cls) | others)
 
@@ -74,7 +80,9 @@ def forces(ndim: int) -> st.SearchStrategy[np.ndarray]:
     return hnp.arrays(
         np.float32,
         hnp.array_shapes(min_dims=ndim, max_dims=ndim, min_side=1, max_side=12),
-        elements=st.floats(-(2.0**100), 2.0**100, width=32, allow_nan=False, allow_infinity=False),
+        elements=st.floats(
+            -(2.0**100), 2.0**100, width=32, allow_nan=False, allow_infinity=False
+        ),
     )
 
 
@@ -122,7 +130,9 @@ def several(draw: st.DrawFn) -> Message:
     one_name = of_kind(wire_fields(cls)["patch"], 1)
     assert one_name is not None
     names = tuple(draw(st.lists(one_name, min_size=1, max_size=5, unique=True)))
-    head: dict[str, Any] = {name: draw(strategy) for name, strategy in scalars(cls, names).items()}
+    head: dict[str, Any] = {
+        name: draw(strategy) for name, strategy in scalars(cls, names).items()
+    }
     if cls is Measurements:
         return Measurements(**head, y=np.tile(draw(forces(1)), (len(names), 1)))
     maps = np.tile(draw(forces(2)), (len(names), 1, 1))
@@ -143,15 +153,21 @@ def contacts(draw: st.DrawFn) -> Contacts:
     """Contacts of one patch or several, none or some, with and without what may be unknown."""
     names = draw(st.sampled_from([(), ("left", "right")]))
     n, n_events = draw(st.integers(0, 4)), draw(st.integers(0, 3))
-    values = {name: draw(strategy) for name, strategy in scalars(Contacts, names).items()}
+    values = {
+        name: draw(strategy) for name, strategy in scalars(Contacts, names).items()
+    }
     for name, kind in wire_fields(Contacts).items():
         if isinstance(kind, Array) and not (kind.optional and draw(st.booleans())):
             width = 3 if "mm" in name or name == "normal" else 2
-            numbers = draw(hnp.arrays(np.int8, (n, width)[: kind.ndim])).astype(kind.dtype)
+            numbers = draw(hnp.arrays(np.int8, (n, width)[: kind.ndim])).astype(
+                kind.dtype
+            )
             values[name] = abs(numbers) if name == "id" else numbers
     rows = [draw(st.integers(0, max(0, len(names) - 1))) for _ in range(n + n_events)]
     values["patch_of"] = np.array(rows[:n], np.int32) if names else None
-    changes = [(row, draw(st.integers(1, 9)), draw(st.integers(0, 3))) for row in rows[n:]]
+    changes = [
+        (row, draw(st.integers(1, 9)), draw(st.integers(0, 3))) for row in rows[n:]
+    ]
     values["events"] = np.array(changes, np.int32) if changes else None
     return Contacts(**values)
 

@@ -23,7 +23,9 @@ def become_nobody() -> Run:
 
     def run(python: str, code: str) -> subprocess.CompletedProcess[str]:
         command = [*become, python, "-I", "-c", code]
-        return subprocess.run(command, capture_output=True, text=True, check=False, cwd="/")
+        return subprocess.run(
+            command, capture_output=True, text=True, check=False, cwd="/"
+        )
 
     def last_line(python: str, code: str) -> str:
         done = run(python, code)

@@ -81,7 +81,9 @@ class Stage:
         for spec, config in nodes:
             pipes = NodePipes(spec)
             companions = [other.name for other, _ in nodes if other is not spec]
-            made.append(NodeProcess(spec, config | {"companions": companions}, process, pipes))
+            made.append(
+                NodeProcess(spec, config | {"companions": companions}, process, pipes)
+            )
             self._ends[spec.name] = pipes
             self._rest[spec.name] = b""
         return made
@@ -103,7 +105,9 @@ class Stage:
 
     def commands(self, name):
         """Names of the commands that a node has received since the last call."""
-        return [fields["command"] for fields in self.received(name) if "command" in fields]
+        return [
+            fields["command"] for fields in self.received(name) if "command" in fields
+        ]
 
     def says(self, name, event, **fields):
         """A node sends an event."""

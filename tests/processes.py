@@ -21,7 +21,9 @@ PATIENCE_S = 300.0
 """When a wait is given up: far beyond what anything here takes, so it is no claim on speed."""
 
 
-def wait_until(done: Callable[[], bool], what: str, patience_s: float = PATIENCE_S) -> float:
+def wait_until(
+    done: Callable[[], bool], what: str, patience_s: float = PATIENCE_S
+) -> float:
     """Look again and again until something is so; the seconds that it took."""
     began_s = time.monotonic()
     while not done():
@@ -118,13 +120,22 @@ class Program:
         # Graphs of a test are told apart from all others on the host.
         self.environment = {
             **os.environ,
-            **{key: value, "SPARSESKIN_RUNTIME_DIR": str(self.notes), "SPARSESKIN_FAST": "off"},
+            **{
+                key: value,
+                "SPARSESKIN_RUNTIME_DIR": str(self.notes),
+                "SPARSESKIN_FAST": "off",
+            },
             "XDG_STATE_HOME": str(cwd / "state"),
             **(environment or {}),
         }
         self._stderr = ""
         self.process = subprocess.Popen(
-            [*prefix, sys.executable, *(COMMAND if limits else PATIENT_COMMAND), *arguments],
+            [
+                *prefix,
+                sys.executable,
+                *(COMMAND if limits else PATIENT_COMMAND),
+                *arguments,
+            ],
             **{"cwd": cwd, "env": self.environment, "text": True},
             **{"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, **options},
         )
@@ -200,6 +211,8 @@ def words(line: str, breaks: str = " \t\n\"'><=;|&(:") -> list[str]:
     # argcomplete writes to file descriptor 8.
     shell = ["bash", "-c", f'exec 8>&{writer}; exec "$@"', "bash", *PROGRAM]
     with os.fdopen(reader) as found:
-        subprocess.run(shell, env=environment, pass_fds=[writer], check=True, timeout=120)
+        subprocess.run(
+            shell, env=environment, pass_fds=[writer], check=True, timeout=120
+        )
         os.close(writer)
         return found.read().splitlines()

@@ -49,7 +49,11 @@ def test_reconstruct_warns_once_of_threads_that_slow_it_down(monkeypatch):
     phi = make_phi("sbhe", n=64, m=32, seed=0)
     basis = make_basis("haar", 8, 8)
     y = np.zeros(32, np.float32)
-    for solver_name, stated, expected in (("skin", 0, 1), ("skin", 1, 0), ("fista", 0, 0)):
+    for solver_name, stated, expected in (
+        ("skin", 0, 1),
+        ("skin", 1, 0),
+        ("fista", 0, 0),
+    ):
         for name in threads:
             monkeypatch.delenv(name, raising=False)
         if stated:
@@ -60,7 +64,9 @@ def test_reconstruct_warns_once_of_threads_that_slow_it_down(monkeypatch):
             warnings.simplefilter("always")
             for _ in range(2):
                 reconstruct(y, solver)
-        assert ["OPENBLAS_NUM_THREADS=1" in str(one.message) for one in found] == [True] * expected
+        assert ["OPENBLAS_NUM_THREADS=1" in str(one.message) for one in found] == [
+            True
+        ] * expected
 
 
 def test_row_subsets_measure_frames_in_turn():
@@ -72,14 +78,19 @@ def test_row_subsets_measure_frames_in_turn():
     for k, frame in enumerate(frames):
         np.testing.assert_array_equal(y[k], subsets[k % 3].forward(frame.reshape(-1)))
     np.testing.assert_array_equal(compress(frames[0], phi, rows="rotating"), y[0])
-    assert np.array_equal(compress(frames, phi, rows="fixed"), phi.forward(frames.reshape(7, 64)))
+    assert np.array_equal(
+        compress(frames, phi, rows="fixed"), phi.forward(frames.reshape(7, 64))
+    )
     assert compress(frames[:0], phi, rows="rotating").shape == (0, 22)
 
 
 @pytest.mark.parametrize("solver", ["skin", "fista"])
 def test_arrays_give_the_bits_of_the_nodes_by_default(solver):
     stated = {"skin": "iterations=24", "fista": "preset=paper"}[solver]
-    settings = ["sensor.first=310", f"reconstructor.{stated}"]  # touched from frame 320 on
+    settings = [
+        "sensor.first=310",
+        f"reconstructor.{stated}",
+    ]  # touched from frame 320 on
     launch = sparseskin.load_launch("lift_box_40", settings)
     frames = list(sparseskin.run_launch(launch, 30))
     assert frames[0].patch == "skin"
@@ -116,12 +127,18 @@ def test_psnr_of_frames_is_that_of_each():
     truth, taxels = sparseskin.simulate("lift_box_40", 4, seed=1)
     assert truth.shape == taxels.shape == (4, 40, 40)
     truth = np.zeros((2, 3, 3), np.float32)
-    found = sparseskin.psnr_db(truth + np.float32([[[0.1]], [[0.025]]]), truth, f_max=1.0)
+    found = sparseskin.psnr_db(
+        truth + np.float32([[[0.1]], [[0.025]]]), truth, f_max=1.0
+    )
     assert found == pytest.approx([20.0, 20 * np.log10(40)], abs=1e-4)
     counts = np.full((2, 2), 4000, np.uint16)
-    with pytest.raises(SparseskinError, match=r"reaches 4000, above f_max = 2.5; state f_max"):
+    with pytest.raises(
+        SparseskinError, match=r"reaches 4000, above f_max = 2.5; state f_max"
+    ):
         sparseskin.psnr_db(counts, counts)
-    assert sparseskin.psnr_db(counts - np.uint16(40), counts, f_max=4000) == pytest.approx(40)
+    assert sparseskin.psnr_db(
+        counts - np.uint16(40), counts, f_max=4000
+    ) == pytest.approx(40)
 
 
 def test_a_bag_is_read_into_arrays(tmp_path):
@@ -143,12 +160,18 @@ def test_a_node_that_fails_or_refuses_ends_a_run_with_its_error(tmp_path, monkey
     source = f"sensor.source=file:{file}"
     failing = [source, "sensor.rate_hz=100", "sensor.unit=N", "compressor.ratio=5000"]
     line = r"^--set compressor.ratio=5000: 5000 leaves no measurement of 64 taxels"
-    with pytest.raises(SparseskinError, match=line):  # before the run: the file states its shape
+    with pytest.raises(
+        SparseskinError, match=line
+    ):  # before the run: the file states its shape
         list(sparseskin.run_launch("replay", 3, failing))
-    (tmp_path / "own_driver.py").write_text("def frames():\n    yield 0, [[0.5] * 8] * 8\n")
+    (tmp_path / "own_driver.py").write_text(
+        "def frames():\n    yield 0, [[0.5] * 8] * 8\n"
+    )
     monkeypatch.syspath_prepend(tmp_path)
     failing[0] = "sensor.source=own_driver:frames"
-    with pytest.raises(SparseskinError, match=r"^compressor: .*leaves no measurement of 64 taxels"):
+    with pytest.raises(
+        SparseskinError, match=r"^compressor: .*leaves no measurement of 64 taxels"
+    ):
         list(sparseskin.run_launch("replay", 3, failing))
     (tmp_path / "own_raising.py").write_text(
         "from sparseskin.nodes.reconstructor.solvers.fista import FistaSolver\n"
@@ -156,17 +179,25 @@ def test_a_node_that_fails_or_refuses_ends_a_run_with_its_error(tmp_path, monkey
         "    def setup(self, *arguments): raise ZeroDivisionError('of its own')\n"
     )
     raising = ["reconstructor.solver=own_raising:Raising"]
-    with pytest.raises(SparseskinError, match=r"^reconstructor: .*ZeroDivisionError: of its own"):
+    with pytest.raises(
+        SparseskinError, match=r"^reconstructor: .*ZeroDivisionError: of its own"
+    ):
         list(sparseskin.run_launch("path_40", 3, raising))
 
 
 @pytest.mark.parametrize("n_frames", [0, 2.0])
 def test_arguments_of_a_run_are_named(n_frames):
-    with pytest.raises(SparseskinError, match=r"^simulate: n_frames = .* is not allowed"):
+    with pytest.raises(
+        SparseskinError, match=r"^simulate: n_frames = .* is not allowed"
+    ):
         sparseskin.simulate("lift_box_40", n_frames)
-    with pytest.raises(SparseskinError, match=r"^run_launch: n_frames = .* is not allowed"):
+    with pytest.raises(
+        SparseskinError, match=r"^run_launch: n_frames = .* is not allowed"
+    ):
         next(sparseskin.run_launch("path_40", n_frames))
-    with pytest.raises(SparseskinError, match=r"^settings: expected a list, .* not a text$"):
+    with pytest.raises(
+        SparseskinError, match=r"^settings: expected a list, .* not a text$"
+    ):
         next(sparseskin.run_launch("path_40", 3, "compressor.ratio=4"))
 
 
@@ -205,21 +236,27 @@ def noisy(**stated):
 
 
 MISTAKES = {
-    "the mask is bool of shape (4, 16); expected bool of shape (8, 8)": lambda: compress(
-        X, PHI, np.ones((4, 16), np.bool_)
+    "the mask is bool of shape (4, 16); expected bool of shape (8, 8)": lambda: (
+        compress(X, PHI, np.ones((4, 16), np.bool_))
     ),
     "the mask is int64 of shape": lambda: compress(X, PHI, X[0].astype(int)),
     "compress: forces[1, 0, 3] is nan; allowed: numbers within": lambda: compress(
         np.where(np.arange(128).reshape(2, 8, 8) == 67, np.nan, X), PHI
     ),
-    "compress: forces: type int64; allowed: newtons": lambda: compress(np.ones((8, 8), int), PHI),
+    "compress: forces: type int64; allowed: newtons": lambda: compress(
+        np.ones((8, 8), int), PHI
+    ),
     "compress: forces: type complex": lambda: compress(X * 1j, PHI),
     "compress: forces: type object": lambda: compress(X.astype(object), PHI),
     "compress: forces: shape (64,)": lambda: compress(X[0].reshape(-1), PHI),
     "compress: 256 taxels of (16, 16) exist": lambda: compress(np.ones((16, 16)), PHI),
-    '"rotating" is not allowed for phi "gaussian"': lambda: compress(X, OTHER, rows="rotating"),
+    '"rotating" is not allowed for phi "gaussian"': lambda: compress(
+        X, OTHER, rows="rotating"
+    ),
     'compress: phi "choosing" chooses rows by what it': lambda: compress(X, CHOOSING),
-    "rows: 'turning' is not allowed": lambda: make_solver("skin", PHI, BASIS, rows="turning"),
+    "rows: 'turning' is not allowed": lambda: make_solver(
+        "skin", PHI, BASIS, rows="turning"
+    ),
     "phi: got ndarray": lambda: compress(PHI, X),
     "measures frames of (8, 8), not of (4, 16)": lambda: make_solver(
         "fista", PHI, make_basis("haar", 4, 16)
@@ -227,17 +264,25 @@ MISTAKES = {
     "phi: got HaarBasis; expected what": lambda: make_solver("fista", BASIS, PHI),
     "basis: got str; expected what": lambda: make_solver("fista", PHI, "haar"),
     "make_basis: n_rows = '8' is not allowed": lambda: make_basis("haar", "8", 8),
-    "basis: 0 x 8 is no grid; allowed: whole numbers 1..4096": lambda: make_basis("haar", 0, 8),
+    "basis: 0 x 8 is no grid; allowed: whole numbers 1..4096": lambda: make_basis(
+        "haar", 0, 8
+    ),
     "y has shape (21,); expected (22,)": lambda: reconstruct(Y[:, :21], solver()),
     "measurements: type complex": lambda: reconstruct(Y * 1j, solver()),
     "solver: got ndarray": lambda: reconstruct(solver(), Y),
-    "the frame has shape (2, 32); expected (8, 8)": lambda: sparseskin.Stream((8, 8)).compress(
-        X[0].reshape(2, 32)
+    "the frame has shape (2, 32); expected (8, 8)": lambda: sparseskin.Stream(
+        (8, 8)
+    ).compress(X[0].reshape(2, 32)),
+    "stream: readings: type complex": lambda: sparseskin.Stream((8, 8)).compress(
+        X[0] * 1j
     ),
-    "stream: readings: type complex": lambda: sparseskin.Stream((8, 8)).compress(X[0] * 1j),
     "psnr_db: forces: type complex": lambda: sparseskin.psnr_db(X * 1j, X),
-    "find_contacts: forces of shape (2, 8, 8)": lambda: sparseskin.find_contacts(X, 0.1),
-    "find_contacts: error = None is not allowed": lambda: sparseskin.find_contacts(X[0], None),
+    "find_contacts: forces of shape (2, 8, 8)": lambda: sparseskin.find_contacts(
+        X, 0.1
+    ),
+    "find_contacts: error = None is not allowed": lambda: sparseskin.find_contacts(
+        X[0], None
+    ),
     "find_contacts: skin: the mask is float32 [8": lambda: sparseskin.find_contacts(
         X[0], 0.1, mask=X[0]
     ),
@@ -249,14 +294,18 @@ MISTAKES = {
     "psnr_db: truth[0, 0, 0] is nan; allowed: numbers": lambda: psnr(truth=X * np.nan),
     "psnr_db: forces[0, 0, 0] is 3e+38; allowed: num": lambda: psnr(forces=X * 3e38),
     "compress: forces[0, 0, 0] is 3e+38; allowed: num": lambda: compress(X * 3e38, PHI),
-    "compress: forces = a masked array is not allowed; allowed: an": lambda: compress(MASKED, PHI),
-    "stream: readings: entries are masked; allowed: an": lambda: sparseskin.Stream((8, 8)).compress(
-        MASKED[0]
+    "compress: forces = a masked array is not allowed; allowed: an": lambda: compress(
+        MASKED, PHI
     ),
+    "stream: readings: entries are masked; allowed: an": lambda: sparseskin.Stream(
+        (8, 8)
+    ).compress(MASKED[0]),
     "make_phi: missing a required argument: 'n'; expected: make_phi(kind, n, m, s": lambda: (
         make_phi("sbhe")
     ),
-    "make_phi: kind = 3 is not allowed; allowed: a text": lambda: make_phi(3, 64, 22, 0),
+    "make_phi: kind = 3 is not allowed; allowed: a text": lambda: make_phi(
+        3, 64, 22, 0
+    ),
     "phi: n = 1000000000000 is not allowed; allowed: 1..16777216": lambda: make_phi(
         "sbhe", 10**12, 22, 0
     ),
@@ -264,10 +313,12 @@ MISTAKES = {
     "run_launch: launch = None is not allowed; allowed: a LaunchFile or a text": lambda: (
         sparseskin.run_launch(None)
     ),
-    "run_launch: settings = [3] is not allowed; allowed: a list of": lambda: sparseskin.run_launch(
-        "path_40", 1, [3]
+    "run_launch: settings = [3] is not allowed; allowed: a list of": lambda: (
+        sparseskin.run_launch("path_40", 1, [3])
     ),
-    "load: name = None is not allowed; allowed: a text": lambda: sparseskin.load_launch(None),
+    "load: name = None is not allowed; allowed: a text": lambda: sparseskin.load_launch(
+        None
+    ),
     "read_recording: path = 3 is not allowed; allowed: a text or a path": lambda: (
         sparseskin.read_recording(3)
     ),
@@ -275,7 +326,9 @@ MISTAKES = {
         noise_model=0.1
     ),
     "solver: noise_sd = nan is not allowed": lambda: noisy(noise_sd=np.nan),
-    "solver: got None; expected what make_solver": lambda: sparseskin.check_solver(None),
+    "solver: got None; expected what make_solver": lambda: sparseskin.check_solver(
+        None
+    ),
 }
 
 
@@ -292,5 +345,7 @@ def test_missing_readings_of_a_file_are_treated_as_stated(tmp_path):
     np.testing.assert_array_equal(found["forces"], np.ones((3, 4, 4)))
     with pytest.raises(SparseskinError, match=r"nan: 'hodl' .*did you mean 'hold'"):
         sparseskin.read_recording(tmp_path / "log.npy", nan="hodl")
-    with pytest.raises(SparseskinError, match=r"nann: unknown argument .*did you mean 'nan'"):
+    with pytest.raises(
+        SparseskinError, match=r"nann: unknown argument .*did you mean 'nan'"
+    ):
         sparseskin.read_recording(tmp_path / "log.npy", nann="hold")

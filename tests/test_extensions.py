@@ -73,7 +73,10 @@ def brought(monkeypatch, tmp_path, offering):
 def test_what_another_package_brings_is_used(tmp_path, capsys):
     assert cli.main(["greet", "--name", "you"]) == 0
     assert capsys.readouterr().out == "hello you\n"
-    assert sorted(cli.plugins()) == ["broken", "greet"]  # none replaces a command of the core
+    assert sorted(cli.plugins()) == [
+        "broken",
+        "greet",
+    ]  # none replaces a command of the core
     assert cli.about("launch") == cli.COMMANDS["launch"][::2]
     assert node_class("own").__module__ == "brought"
     (tmp_path / "own.csv").write_text("counts\n1 2 3\n4 5 6\n")
@@ -95,7 +98,9 @@ def test_parts_of_a_method_have_names_that_replace_none_of_the_core(offering):
     assert type(make_basis("haar", 4, 4)).__name__ == "HaarBasis"
     with pytest.raises(SolverError, match="there is no module 'absent'"):
         make_basis("broken", 4, 4)
-    with pytest.raises(SolverError, match=r'basis "haer" is not known \(did you mean \'haar\'\?\)'):
+    with pytest.raises(
+        SolverError, match=r'basis "haer" is not known \(did you mean \'haar\'\?\)'
+    ):
         make_basis("haer", 4, 4)
 
 
@@ -104,24 +109,34 @@ def test_what_cannot_be_imported_is_named_in_one_line_and_stops_no_other(tmp_pat
     with pytest.raises(SettingsError, match="there is no module 'absent'"):
         node_class("broken")
     (tmp_path / "own.xyz").write_text("1")
-    with pytest.raises(SourceError, match=r"suffix '\.xyz' .*; cannot be imported: absent:THING"):
+    with pytest.raises(
+        SourceError, match=r"suffix '\.xyz' .*; cannot be imported: absent:THING"
+    ):
         open_file(tmp_path / "own.xyz")
-    with pytest.raises(BagError, match=r"--to broken: plug-in absent:THING: ModuleNotFoundError"):
+    with pytest.raises(
+        BagError, match=r"--to broken: plug-in absent:THING: ModuleNotFoundError"
+    ):
         find_export("broken")
-    with pytest.raises(SourceError, match=r"points: plug-in absent:POINTS: ModuleNotFoundError"):
+    with pytest.raises(
+        SourceError, match=r"points: plug-in absent:POINTS: ModuleNotFoundError"
+    ):
         point_skins()
 
 
 def test_without_the_plug_in_skins_of_points_are_refused(offering):
     offering(extensions.POINTS)
-    with pytest.raises(SourceError, match="need the plug-in points, which is not installed"):
+    with pytest.raises(
+        SourceError, match="need the plug-in points, which is not installed"
+    ):
         point_skins()
 
 
 @pytest.mark.usefixtures("brought")
 def test_a_command_that_cannot_be_imported_is_named_and_stops_no_other(capsys):
     assert cli.main(["broken"]) == 2
-    assert capsys.readouterr().err.startswith("broken: plug-in absent: ModuleNotFoundError")
+    assert capsys.readouterr().err.startswith(
+        "broken: plug-in absent: ModuleNotFoundError"
+    )
     with pytest.raises(SystemExit) as ended:
         cli.main(["--help"])
     assert ended.value.code == 0
@@ -131,7 +146,9 @@ def test_a_command_that_cannot_be_imported_is_named_and_stops_no_other(capsys):
 
 
 NODE = "from sparseskin.nodes.registry import node_class as use; use({!r})"
-DRIVER = "from sparseskin.nodes.sensor.sources import find_address as use; use({!r}).check()"
+DRIVER = (
+    "from sparseskin.nodes.sensor.sources import find_address as use; use({!r}).check()"
+)
 
 
 @pytest.mark.parametrize(
@@ -143,11 +160,15 @@ DRIVER = "from sparseskin.nodes.sensor.sources import find_address as use; use({
         (DRIVER, "own_package.node:frames", True),
     ],
 )
-def test_the_current_directory_has_modules_that_are_not_installed(use, name, found, tmp_path):
+def test_the_current_directory_has_modules_that_are_not_installed(
+    use, name, found, tmp_path
+):
     text = "from sparseskin.nodes.node import Node\nclass Own(Node): pass\ndef frames(): yield\n"
     (tmp_path / "own_package").mkdir()
     (tmp_path / "own_package/node.py").write_text(text)
     code = use.format(name) + "; import os, sys; print(os.getcwd() in sys.path)"
     command = [sys.executable, "-P", "-c", code]
-    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=True)
+    done = subprocess.run(
+        command, cwd=tmp_path, capture_output=True, text=True, check=True
+    )
     assert done.stdout.strip() == str(found)

@@ -15,7 +15,14 @@ ROOT = Path(__file__).resolve().parent.parent
 FOLDERS = ("src/sparseskin", "messages", "nodes", "launch", "studies", "plugins")
 STATIONS = [
     f"sparseskin.nodes.{station}"
-    for station in ("sensor", "compressor", "reconstructor", "monitor", "recorder", "player")
+    for station in (
+        "sensor",
+        "compressor",
+        "reconstructor",
+        "monitor",
+        "recorder",
+        "player",
+    )
 ]
 
 
@@ -29,16 +36,44 @@ def test_a_wheel_holds_all_of_sparseskin_and_nothing_else(tmp_path):
     for name in ("pyproject.toml", "README.md", "LICENSE", *FOLDERS):
         (source / name).parent.mkdir(exist_ok=True)
         (source / name).symlink_to(ROOT / name)
-    options = ["--quiet", "--disable-pip-version-check", "--no-deps", "--no-build-isolation"]
-    wheel = [sys.executable, "-m", "pip", "wheel", *options, "--wheel-dir", str(tmp_path)]
+    options = [
+        "--quiet",
+        "--disable-pip-version-check",
+        "--no-deps",
+        "--no-build-isolation",
+    ]
+    wheel = [
+        sys.executable,
+        "-m",
+        "pip",
+        "wheel",
+        *options,
+        "--wheel-dir",
+        str(tmp_path),
+    ]
     subprocess.run([*wheel, str(source)], check=True)
     (built,) = tmp_path.glob("*.whl")
     wheel_file = zipfile.ZipFile(built)
     names = wheel_file.namelist()
     tops = {name.split("/")[0] for name in names}
     assert {top for top in tops if not top.endswith(".dist-info")} == {"sparseskin"}
-    held = {name.removeprefix("sparseskin/") for name in names if name.startswith("sparseskin/")}
-    wanted = ("*.py", "*.toml", "*.typed", "*.npz", "*.md", "*.js", "*.css", "*.html", "*.c", "*.h")
+    held = {
+        name.removeprefix("sparseskin/")
+        for name in names
+        if name.startswith("sparseskin/")
+    }
+    wanted = (
+        "*.py",
+        "*.toml",
+        "*.typed",
+        "*.npz",
+        "*.md",
+        "*.js",
+        "*.css",
+        "*.html",
+        "*.c",
+        "*.h",
+    )
     files = {
         str(path.relative_to(ROOT)).removeprefix("src/sparseskin/")
         for top in FOLDERS
@@ -59,11 +94,17 @@ def test_a_wheel_holds_all_of_sparseskin_and_nothing_else(tmp_path):
 @pytest.mark.parametrize(
     ("module", "strangers"),
     [
-        ("sparseskin.nodes.compressor.node", ["scipy", "pywt", "sparseskin.nodes.reconstructor"]),
+        (
+            "sparseskin.nodes.compressor.node",
+            ["scipy", "pywt", "sparseskin.nodes.reconstructor"],
+        ),
         ("sparseskin.nodes.compressor.phi.base as b; " + EVERY_PHI, ["scipy", "pywt"]),
         ("sparseskin.nodes.sensor.node", ["scipy", "sparseskin.nodes.compressor"]),
         ("sparseskin.nodes.reconstructor.node", ["scipy", "pywt", "numba"]),
-        ("sparseskin.nodes.process.runner", ["sparseskin.launch", "sparseskin.nodes.monitor"]),
+        (
+            "sparseskin.nodes.process.runner",
+            ["sparseskin.launch", "sparseskin.nodes.monitor"],
+        ),
         ("sparseskin.messages", ["zmq", "scipy", "sparseskin.nodes"]),
         ("sparseskin", ["numpy", "sparseskin.nodes"]),
         ("sparseskin.nodes.registry", ["zmq", "scipy", "numba", *STATIONS]),
@@ -76,13 +117,17 @@ def test_imports_run_one_way(module, strangers):
         f"import sys, {module}\n"
         f"print([m for m in sys.modules for s in {strangers!r} if (m + '.').startswith(s + '.')])"
     )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    done = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=True
+    )
     assert done.stdout.strip() == "[]"
 
 
 def test_nothing_in_the_package_unpickles_or_evaluates():
     """Beside what ruff refuses (S, TID251): arrays of objects, and built-in functions."""
-    unsafe = r"allow_pickle=(?!False)|(?<![.\w])(?<!def )(eval|exec|compile|__import__)\("
+    unsafe = (
+        r"allow_pickle=(?!False)|(?<![.\w])(?<!def )(eval|exec|compile|__import__)\("
+    )
     found = [
         f"{path.relative_to(ROOT)}: {match[0]}"
         for top in FOLDERS

@@ -21,15 +21,26 @@ FRAMES = np.random.default_rng(0).random((7, 8, 8), dtype=np.float32)
 @pytest.mark.parametrize(
     ("settings", "chosen"),
     [
-        (["sensor.first=310", "reconstructor.iterations=24"], {}),  # touched from frame 320 on
         (
-            ["compressor.rows=paper", "compressor.ratio=4", "reconstructor.preset=paper"],
+            ["sensor.first=310", "reconstructor.iterations=24"],
+            {},
+        ),  # touched from frame 320 on
+        (
+            [
+                "compressor.rows=paper",
+                "compressor.ratio=4",
+                "reconstructor.preset=paper",
+            ],
             {"rows": "paper", "ratio": 4, "preset": "paper"},
         ),
         # Lambda is scaled with the range.
         (["reconstructor.preset=paper"], {"preset": "paper", "f_max": 40}),
         (
-            ["compressor.phi=gaussian", "compressor.seed=2", "reconstructor.iterations=3"],
+            [
+                "compressor.phi=gaussian",
+                "compressor.seed=2",
+                "reconstructor.iterations=3",
+            ],
             {"phi": "gaussian", "seed": 2, "iterations": 3},
         ),
         (
@@ -50,7 +61,11 @@ def test_a_stream_has_the_bits_and_defaults_of_a_graph(settings, chosen, tmp_pat
         name = "replay"
         shape = (8, 8)
         sigmas = None
-        settings = [*settings, f"sensor.source=file:{tmp_path}/log.npy", "sensor.unit=N"]
+        settings = [
+            *settings,
+            f"sensor.source=file:{tmp_path}/log.npy",
+            "sensor.unit=N",
+        ]
         settings += ["sensor.rate_hz=100", f"sensor.f_max={f_max}"]
     else:
         name = "lift_box_40"
@@ -118,12 +133,16 @@ def test_refused_measurements_count_as_a_frame_and_a_frame_of_another_shape_does
     stream = Stream((8, 8))
     other = Stream((8, 8))
     y = [other.compress(frame) for frame in FRAMES]
-    with pytest.raises(SparseskinError, match=r"^stream: the frame has shape \(7, 8, 8\); exp"):
+    with pytest.raises(
+        SparseskinError, match=r"^stream: the frame has shape \(7, 8, 8\); exp"
+    ):
         stream.compress(FRAMES)
     spoilt = FRAMES[0].copy()
     spoilt[2, 5] = np.nan
     for counts in (4095, -409):
-        line = refusal(lambda n=counts: stream.compress(np.full((8, 8), n)), SparseskinError)
+        line = refusal(
+            lambda n=counts: stream.compress(np.full((8, 8), n)), SparseskinError
+        )
         assert f"a taxel reads {counts}, far beyond f_max = 2.5; state" in line
     line = refusal(lambda: stream.compress(spoilt), SparseskinError)
     assert line.startswith("stream: taxel (2, 5) reads nan; allowed: finite")
@@ -137,7 +156,9 @@ def test_refused_measurements_count_as_a_frame_and_a_frame_of_another_shape_does
 
 @pytest.mark.parametrize("k", [-1, 2.0])
 def test_a_number_of_a_frame_that_is_none_is_refused(k):
-    with pytest.raises(SolverError, match=r"^stream: k = .* is not allowed; allowed: a whole"):
+    with pytest.raises(
+        SolverError, match=r"^stream: k = .* is not allowed; allowed: a whole"
+    ):
         Stream((8, 8)).reconstruct(np.zeros(22, np.float32), k)
 
 
@@ -151,17 +172,28 @@ class Choosing(SubsamplePhi):
     ("arguments", "line"),
     [
         ({"shape": 8}, "stream: shape = 8 is not allowed; allowed: (n_rows, n_cols)"),
-        ({"shape": (16.0, 16)}, "stream: shape = (16.0, 16) is not allowed; allowed: (n_rows"),
-        ({"mask": np.ones((8, 7), np.bool_)}, "skin: the mask is bool [8, 7], expected bool"),
+        (
+            {"shape": (16.0, 16)},
+            "stream: shape = (16.0, 16) is not allowed; allowed: (n_rows",
+        ),
+        (
+            {"mask": np.ones((8, 7), np.bool_)},
+            "skin: the mask is bool [8, 7], expected bool",
+        ),
         ({"phi": f"{__name__}:Choosing"}, ':Choosing" chooses rows by what it reads'),
         ({"ratio": 100}, "ratio: 100 leaves no measurement of 64 taxels"),
         ({"solver": "fist"}, 'solver: solver "fist" is not known (did you mean'),
         ({"max_iteration": 9}, "max_iteration: is not known"),
-        ({"solver": DOUBTING, "perod": 9}, "options.perod: is no option of solver doubting:D"),
+        (
+            {"solver": DOUBTING, "perod": 9},
+            "options.perod: is no option of solver doubting:D",
+        ),
     ],
 )
 def test_an_argument_that_is_not_allowed_is_one_line(arguments, line):
-    assert line in refusal(lambda: Stream(**{"shape": (8, 8), **arguments}), SparseskinError)
+    assert line in refusal(
+        lambda: Stream(**{"shape": (8, 8), **arguments}), SparseskinError
+    )
 
 
 def changed(made, **methods):
@@ -192,10 +224,22 @@ def growing(self, x, out):
 @pytest.mark.parametrize(
     ("methods", "text"),
     [
-        ({"_adjoint": half}, "adjoint: inner products of .*; expected: the transpose, so equal"),
-        ({"_forward": growing}, "forward: other bits on a second call; expected: the same bits"),
-        ({"lipschitz": property(lambda self: 1.0)}, r"lipschitz: 1.0; expected: at least 2\.\d+"),
-        ({"dense": lambda self: np.zeros((9, 24))}, "forward: a relative error of .* dense"),
+        (
+            {"_adjoint": half},
+            "adjoint: inner products of .*; expected: the transpose, so equal",
+        ),
+        (
+            {"_forward": growing},
+            "forward: other bits on a second call; expected: the same bits",
+        ),
+        (
+            {"lipschitz": property(lambda self: 1.0)},
+            r"lipschitz: 1.0; expected: at least 2\.\d+",
+        ),
+        (
+            {"dense": lambda self: np.zeros((9, 24))},
+            "forward: a relative error of .* dense",
+        ),
     ],
 )
 def test_a_wrong_matrix_is_named(methods, text):
@@ -223,9 +267,18 @@ def forces(value):
 @pytest.mark.parametrize(
     ("methods", "text"),
     [
-        ({"finish": forces(-1)}, "forces below 0 or not finite; expected: at least 0, finite"),
-        ({"finish": lambda self: np.zeros((8, 8))}, r"float64 \(8, 8\); expected: float32"),
-        ({"finish": forces(1)}, "a NaN among the measurements is taken|forces for measurements"),
+        (
+            {"finish": forces(-1)},
+            "forces below 0 or not finite; expected: at least 0, finite",
+        ),
+        (
+            {"finish": lambda self: np.zeros((8, 8))},
+            r"float64 \(8, 8\); expected: float32",
+        ),
+        (
+            {"finish": forces(1)},
+            "a NaN among the measurements is taken|forces for measurements",
+        ),
         ({"reset": lambda self: None}, "a second run after reset"),
     ],
 )

@@ -24,16 +24,30 @@ class Desk:
     """A reconstructor that knows its skin, and what it said."""
 
     def __init__(
-        self, phi: Phi, *, rows: str = FIXED, states_noise: bool = True, **settings: object
+        self,
+        phi: Phi,
+        *,
+        rows: str = FIXED,
+        states_noise: bool = True,
+        **settings: object,
     ) -> None:
         self.lines: list[str] = []
         context = Context("reconstructor", ManualClock(0), self.lines.append)
-        self.node = Reconstructor(ReconstructorSettings(**{"fast": FAST, **settings}), context)
+        self.node = Reconstructor(
+            ReconstructorSettings(**{"fast": FAST, **settings}), context
+        )
         self.subsets = row_subsets(phi, rows)
         self._stamps = itertools.count(1)
         sigmas = (0.0628, 0.0141) if states_noise else (0.0, 0.0)
-        grid = {"n_rows": DESK_SHAPE[0], "n_cols": DESK_SHAPE[1], "mask": None, "rate_hz": 0.0}
-        skin = skin_state(**grid, sigma_mid=sigmas[0], sigma_end=sigmas[1], has_truth=False)
+        grid = {
+            "n_rows": DESK_SHAPE[0],
+            "n_cols": DESK_SHAPE[1],
+            "mask": None,
+            "rate_hz": 0.0,
+        }
+        skin = skin_state(
+            **grid, sigma_mid=sigmas[0], sigma_end=sigmas[1], has_truth=False
+        )
         told = PhiState(
             stamp_ns=0,
             patch="skin",
@@ -48,7 +62,9 @@ class Desk:
         """What is published for the measurements y, the first of them of the first row subset."""
         return list(self._published(y))
 
-    def reconstructions(self, y: Iterable[Floats | Quantised]) -> Iterator[Reconstruction]:
+    def reconstructions(
+        self, y: Iterable[Floats | Quantised]
+    ) -> Iterator[Reconstruction]:
         """Reconstructions of the measurements y, frame by frame."""
         return (m for m in self._published(y) if isinstance(m, Reconstruction))
 
@@ -56,7 +72,11 @@ class Desk:
         for k, one in enumerate(y):
             phi = self.subsets[k % len(self.subsets)]
             sent = one.copy()
-            head = {"stamp_ns": next(self._stamps), "patch": "skin", "phi": phi.fingerprint}
+            head = {
+                "stamp_ns": next(self._stamps),
+                "patch": "skin",
+                "phi": phi.fingerprint,
+            }
             yield from self.node.step(Measurements(y=sent, **head))
             sent.fill(0)  # a sender may write to its array again
 

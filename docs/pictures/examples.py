@@ -47,7 +47,11 @@ def run(path: Path) -> str:
     picture = PICTURES / f"{path.stem}.png"
     sys.argv = [str(path), *([str(picture)] if draws else ARGUMENTS.get(path.stem, []))]
     sys.path.insert(0, str(path.parent))
-    with tempfile.TemporaryDirectory() as folder, best, contextlib.redirect_stdout(printed):
+    with (
+        tempfile.TemporaryDirectory() as folder,
+        best,
+        contextlib.redirect_stdout(printed),
+    ):
         os.chdir(folder)
         runpy.run_path(str(path), run_name="__main__")
         os.chdir(ROOT)
@@ -64,7 +68,9 @@ class Best:
         self.maps: tuple[Any, ...] = ()
 
     def __enter__(self) -> None:
-        self._own = {n: getattr(sparseskin, n) for n in ("compress", "reconstruct", "run_launch")}
+        self._own = {
+            n: getattr(sparseskin, n) for n in ("compress", "reconstruct", "run_launch")
+        }
         for name in self._own:
             setattr(sparseskin, name, getattr(self, name))
 
@@ -89,7 +95,11 @@ class Best:
         for frame in self._own["run_launch"](*words, **options):
             if frame.forces is not None and frame.forces.sum() > largest:
                 largest = frame.forces.sum()
-                self.maps = frame.taxels.copy(), frame.forces.copy(), frame.measurements.size
+                self.maps = (
+                    frame.taxels.copy(),
+                    frame.forces.copy(),
+                    frame.measurements.size,
+                )
             yield frame
 
 
@@ -102,7 +112,9 @@ def draw(path: Path, read: Any, made: Any, n: int) -> None:
     figure, axes = plt.subplots(1, 2, figsize=(6, 3), dpi=80, layout="constrained")
     titles = f"readings of {read.size} cells", f"reconstructed from {n} numbers"
     for ax, forces, title in zip(axes, (read, made), titles, strict=True):
-        image = ax.imshow(forces, vmin=0, vmax=float(read.max()), interpolation="nearest")
+        image = ax.imshow(
+            forces, vmin=0, vmax=float(read.max()), interpolation="nearest"
+        )
         ax.set_title(title, fontsize=10)
         ax.set(xticks=[], yticks=[])
     figure.colorbar(image, ax=axes, label="force in N", shrink=0.8)

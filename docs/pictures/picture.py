@@ -42,7 +42,9 @@ def main(out: Path) -> None:
     readings.imshow(frame.taxels, **scale)
     readings.set_title(f"{truth.size} taxels, noisy\n{_error(frame.taxels, truth)}")
     forces.imshow(frame.forces, **scale)
-    forces.set_title(f"{truth.size} forces, reconstructed\n{_error(frame.forces, truth)}")
+    forces.set_title(
+        f"{truth.size} forces, reconstructed\n{_error(frame.forces, truth)}"
+    )
     image = true.imshow(truth, **scale)
     true.set_title("true forces\n(simulated)")
     _draw_strip(strip, frame.measurements)
@@ -72,8 +74,19 @@ def _draw_strip(axes: Any, y: Any) -> None:
     cells[: y.size] = np.sign(y) * np.sqrt(np.abs(y))
     limit = float(np.nanmax(np.abs(cells)))
     rows = cells.reshape(-1, n_columns)
-    axes.imshow(rows, vmin=-limit, vmax=limit, cmap="RdBu", aspect="auto", interpolation="nearest")
+    axes.imshow(
+        rows,
+        vmin=-limit,
+        vmax=limit,
+        cmap="RdBu",
+        aspect="auto",
+        interpolation="nearest",
+    )
 
 
 if __name__ == "__main__":
-    main(Path(sys.argv[1]) if len(sys.argv) > 1 else Path(__file__).with_name("picture.png"))
+    main(
+        Path(sys.argv[1])
+        if len(sys.argv) > 1
+        else Path(__file__).with_name("picture.png")
+    )

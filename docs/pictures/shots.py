@@ -72,7 +72,9 @@ def paletted(image: Any, colours: int) -> Any:
     from PIL import Image
 
     method = Image.Quantize.MAXCOVERAGE
-    return image.convert("RGB").quantize(colours, method=method, dither=Image.Dither.NONE)
+    return image.convert("RGB").quantize(
+        colours, method=method, dither=Image.Dither.NONE
+    )
 
 
 def n_drawn(page: Any) -> int:
@@ -81,13 +83,17 @@ def n_drawn(page: Any) -> int:
 
 def is_marked(page: Any) -> bool:
     """True if a map is marked, as one that is old on a busy host."""
-    marks = "return document.querySelectorAll('[data-mark]:not([data-mark=\"\"])').length"
+    marks = (
+        "return document.querySelectorAll('[data-mark]:not([data-mark=\"\"])').length"
+    )
     return bool(page.execute_script(marks))
 
 
 def touched(page: Any) -> bool:
     """True if a body presses on the skin now."""
-    found = re.search(r"total ([0-9.]+) N", text(page, '[data-panel="truth"] figcaption'))
+    found = re.search(
+        r"total ([0-9.]+) N", text(page, '[data-panel="truth"] figcaption')
+    )
     return found is not None and float(found[1]) > 8
 
 
@@ -96,7 +102,9 @@ def hero(page: Any, folder: Path) -> None:
     with launched(page, folder, "drag_wrench_40", "sensor.rate_hz=50"):
         wait_until(lambda: n_frames(page) >= DRAGGED_FROM, "the drag")
         wait_until(
-            lambda: touched(page) and not text(page, "#notices") and not is_marked(page),
+            lambda: (
+                touched(page) and not text(page, "#notices") and not is_marked(page)
+            ),
             "a trusted contact",
         )
         shoot(page, "live")
@@ -109,7 +117,9 @@ def contact(page: Any, folder: Path) -> None:
     frames: list[Image.Image] = []
     times_s: list[float] = []
     with launched(page, folder, "drag_wrench_40", f"sensor.rate_hz={CONTACT_HZ}"):
-        wait_until(lambda: n_frames(page) >= CONTACT_FROM, "the time before the contact")
+        wait_until(
+            lambda: n_frames(page) >= CONTACT_FROM, "the time before the contact"
+        )
         # A notice that comes or goes would move the maps.
         page.execute_script("document.querySelector('#notices').style.display = 'none'")
         box = page.execute_script(
@@ -135,10 +145,18 @@ def contact(page: Any, folder: Path) -> None:
     palette = paletted(frames[-1], COLOURS)
     small = [one.quantize(palette=palette, dither=Image.Dither.NONE) for one in frames]
     small[0].save(
-        path, save_all=True, append_images=small[1:], duration=durations, loop=0, optimize=True
+        path,
+        save_all=True,
+        append_images=small[1:],
+        duration=durations,
+        loop=0,
+        optimize=True,
     )
     size = path.stat().st_size
-    print(f"docs/pictures/contact.gif: {len(frames)} pictures, {size / 1e6:.2f} MB", flush=True)
+    print(
+        f"docs/pictures/contact.gif: {len(frames)} pictures, {size / 1e6:.2f} MB",
+        flush=True,
+    )
     assert size < MAX_BYTES, f"{path}: larger than {MAX_BYTES} bytes"
 
 
@@ -149,7 +167,9 @@ def contacts(page: Any, folder: Path) -> None:
     settings = ("sensor.source=two_bodies:Bodies", "sensor.rate_hz=20")
     named = (f"reconstructor.{setting}" for setting in stated)
     with launched(page, folder, "replay", *settings, *named):
-        rings = "return document.querySelectorAll('ellipse.contact:not(.doubtful)').length"
+        rings = (
+            "return document.querySelectorAll('ellipse.contact:not(.doubtful)').length"
+        )
         wait_until(
             lambda: (
                 n_frames(page) > 900
@@ -169,9 +189,12 @@ def n_frames(page: Any) -> int:
 
 def overview(page: Any, folder: Path) -> None:
     """The overview of a body, zoomed to its contacts."""
-    with launched(page, folder, "body", "sensor.rate_hz=20", "reconstructor.contacts=true"):
+    with launched(
+        page, folder, "body", "sensor.rate_hz=20", "reconstructor.contacts=true"
+    ):
         wait_until(
-            lambda: text(page, "[data-tile=pressed] strong") == "8", "eight that are pressed"
+            lambda: text(page, "[data-tile=pressed] strong") == "8",
+            "eight that are pressed",
         )
         page.execute_script("document.getElementById('zoom').click()")
         before = n_drawn(page)
@@ -189,7 +212,8 @@ def torso(page: Any, folder: Path) -> None:
         wait_until(lambda: n_drawn(page) > 120, "frames of history")
         wait_until(
             lambda: (
-                "contact on the near side" in text(page, caption) and not text(page, "#notices")
+                "contact on the near side" in text(page, caption)
+                and not text(page, "#notices")
             ),
             "a contact on the near side",
         )
@@ -204,7 +228,10 @@ def main() -> int:
     if lack():
         print(lack(), file=sys.stderr)
         return 2
-    with tempfile.TemporaryDirectory() as folder, browser(Path(folder) / "profile") as page:
+    with (
+        tempfile.TemporaryDirectory() as folder,
+        browser(Path(folder) / "profile") as page,
+    ):
         for name in sys.argv[1:] or SHOTS:
             SHOTS[name](page, Path(folder))
     return 0

@@ -25,7 +25,9 @@ def describe(graph: RunningGraph, node: str | None = None) -> dict[str, Any]:
     Raises GraphError if the graph does not answer.
     """
     with closing(ControlClient(graph.control)) as client:
-        described: dict[str, Any] = _exchange(graph, client, {"describe": node}, "description")
+        described: dict[str, Any] = _exchange(
+            graph, client, {"describe": node}, "description"
+        )
         return described
 
 
@@ -37,7 +39,9 @@ def describe_node(graph: RunningGraph, name: str) -> dict[str, Any]:
     described = describe(graph, name)
     nodes = {node["name"]: node for node in described["nodes"]}
     if name not in nodes:
-        raise GraphError(f"{name}: {graph.label} has no such node{did_you_mean(name, nodes)}")
+        raise GraphError(
+            f"{name}: {graph.label} has no such node{did_you_mean(name, nodes)}"
+        )
     node: dict[str, Any] = nodes[name]
     return node
 
@@ -131,7 +135,9 @@ def _exchange(
         select.select([client.connection], [], [], wait_s)
         news = client.receive()
         if news is None:
-            raise GraphError(f"{graph.label}: has ended, or is asked by too many at once")
+            raise GraphError(
+                f"{graph.label}: has ended, or is asked by too many at once"
+            )
         if news:
             return news[0][key]
         wait_s = deadline_s - time.monotonic()

@@ -88,7 +88,9 @@ def text(value: Any, full: bool) -> str:
     if value.size > N_FIRST:
         elements.append("...")
     # A summary fits in one line.
-    extent = "min {min:.4g}, mean {mean:.4g}, max {max:.4g}".format(**plain(value, False))
+    extent = "min {min:.4g}, mean {mean:.4g}, max {max:.4g}".format(
+        **plain(value, False)
+    )
     return f"{head}: {extent} [{' '.join(elements)}]"
 
 
@@ -154,7 +156,9 @@ def _contact_lines(message: Contacts, unit: str) -> dict[str, Any]:
 def _contact_line(message: Contacts, k: int, unit: str) -> str:
     """Contact k as text."""
     # How strong, where, how large, and since when.
-    force = f"{message.total[k]:.4g} ± {message.total_sd[k]:.2g} {sum_unit(unit)}".rstrip()
+    force = (
+        f"{message.total[k]:.4g} ± {message.total_sd[k]:.2g} {sum_unit(unit)}".rstrip()
+    )
     peak = f"peak {message.peak[k]:.3g}"
     if unit:
         peak += f" {unit}"
@@ -260,7 +264,9 @@ class Echo(Display):
     def finish(self) -> None:
         """Print how many messages were shown, where no number was asked for."""
         if self._n is None:
-            counts = f"{self._shown} shown, {self._skipped} not shown, {self._losses.n} lost"
+            counts = (
+                f"{self._shown} shown, {self._skipped} not shown, {self._losses.n} lost"
+            )
             print(f"{self._topic}: {counts}", file=sys.stderr)
 
     def text(self, message: Message) -> str:
@@ -275,7 +281,9 @@ class Echo(Display):
         values = values_of(message)
         if self._in_json:
             document = {name: plain(value, full) for name, value in values.items()}
-            return json.dumps(formatted("topic-echo", {"topic": message.topic, **document}))
+            return json.dumps(
+                formatted("topic-echo", {"topic": message.topic, **document})
+            )
         if isinstance(message, Contacts) and not full:
             values = _contact_lines(message, self._unit)
         if isinstance(message, Reconstruction):

@@ -24,7 +24,12 @@ from sparseskin.messages.wire import Payload
 from sparseskin.nodes.clock import SystemClock
 from sparseskin.nodes.errors import SparseskinError
 from sparseskin.nodes.network.keys import read_key_pair
-from sparseskin.nodes.network.sockets import NEWEST_ALONE, QUEUE_FRAMES, Reader, make_context
+from sparseskin.nodes.network.sockets import (
+    NEWEST_ALONE,
+    QUEUE_FRAMES,
+    Reader,
+    make_context,
+)
 
 from .client import describe, topics_of
 from .text import flowing
@@ -268,7 +273,11 @@ class Display:
 
 
 def observe(
-    graph: RunningGraph, topic: str, display: Display, n: int | None, duration_s: float | None
+    graph: RunningGraph,
+    topic: str,
+    display: Display,
+    n: int | None,
+    duration_s: float | None,
 ) -> int:
     """Show the messages of a topic until `n` counted, `duration_s` seconds are over or its stream
     ends; return the exit code.
@@ -336,7 +345,9 @@ def _arrival(topic: bytes, payload: Payload, at_ns: int) -> Arrival | None:
         if payload[0] == MARK:
             run_id, seq, stamp_ns = head_of(topic, payload)
         else:
-            body: Any = msgpack.unpackb(payload, raw=False, max_map_len=64, max_ext_len=0)
+            body: Any = msgpack.unpackb(
+                payload, raw=False, max_map_len=64, max_ext_len=0
+            )
             ends = body["schema"] == End.schema
             seq = body["n_messages"] if ends else body["seq"]
             run_id = str(body["run_id"])

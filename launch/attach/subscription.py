@@ -55,10 +55,14 @@ class Subscription:
     ) -> None:
         # Arguments are checked before anything is connected.
         if not isinstance(topic, str):
-            raise SettingsError(f"subscribe: topic = {topic!r} is not allowed; allowed: a text")
+            raise SettingsError(
+                f"subscribe: topic = {topic!r} is not allowed; allowed: a text"
+            )
         if timeout_s is not None and not is_real(timeout_s, 0.0, MAX_TIMEOUT_S):
             allowed = f"allowed: 0 to {MAX_TIMEOUT_S:g} seconds, or None"
-            raise SettingsError(f"subscribe: timeout_s = {timeout_s!r} is not allowed; {allowed}")
+            raise SettingsError(
+                f"subscribe: timeout_s = {timeout_s!r} is not allowed; {allowed}"
+            )
         # Waits for a graph that is starting.
         running = choose_graph(graph, option="graph")
 

@@ -49,7 +49,9 @@ def flowing(text: str) -> str:
     return " ".join(printable(text).split())
 
 
-def table(head: Sequence[str], rows: Sequence[Sequence[object]], indent: str = "") -> list[str]:
+def table(
+    head: Sequence[str], rows: Sequence[Sequence[object]], indent: str = ""
+) -> list[str]:
     """Lines of a table, each after `indent`; columns of numbers, None: not known, flush right."""
     texts = [[flowing(_cell(cell)) for cell in row] for row in rows]
     # Flush right where all cells of a column are numbers.
@@ -96,7 +98,9 @@ def wrapped(start: str, text: str, continued: str | None = None) -> list[str]:
         continued = " " * len(start)
     # The longer of both begins leaves the narrower column.
     room = max(MIN_LAST, width() - max(len(start), len(continued)))
-    lines = textwrap.wrap(text, room, break_on_hyphens=False, break_long_words=False) or [""]
+    lines = textwrap.wrap(
+        text, room, break_on_hyphens=False, break_long_words=False
+    ) or [""]
     begin = (start + lines[0]).rstrip()
     return [begin, *(continued + line for line in lines[1:])]
 

@@ -44,11 +44,15 @@ _OF_TOPIC = ("schema", "version", "n_messages", "first_ns", "last_ns", "rate_hz"
 def configure(parser: argparse.ArgumentParser) -> None:
     add = add_commands(parser, "Work with recordings (.mcap).")
     # Commands that read a file, in the order of their use: look, import, export.
-    look.configure(add("look", look.look, "show how a file would be read, and its first frame"))
+    look.configure(
+        add("look", look.look, "show how a file would be read, and its first frame")
+    )
 
     info = add("info", _info, "print what a recording holds")
     info.add_argument("bag", metavar="F.mcap", type=Path, help=f"NAME{FILE_SUFFIX}")
-    info.add_argument("--json", action="store_true", help="print JSON in place of a table")
+    info.add_argument(
+        "--json", action="store_true", help="print JSON in place of a table"
+    )
 
     recover = add("recover", _recover, "save the readable part of a broken recording")
     about = f"NAME{FILE_SUFFIX}[{PART_SUFFIX}]"
@@ -64,14 +68,20 @@ def configure(parser: argparse.ArgumentParser) -> None:
 def _configure_export(export: argparse.ArgumentParser) -> None:
     about = f"NAME{FILE_SUFFIX}; several for lerobot, zarr: an episode each"
     export.add_argument("bags", metavar="F.mcap", type=Path, nargs="+", help=about)
-    export.add_argument("--to", choices=export_names(), required=True, help="the format")
-    about = "default: NAME and the ending of the format, as NAME.npz, NAME_csv, NAME_ros2"
+    export.add_argument(
+        "--to", choices=export_names(), required=True, help="the format"
+    )
+    about = (
+        "default: NAME and the ending of the format, as NAME.npz, NAME_csv, NAME_ros2"
+    )
     export.add_argument("--out", metavar="PATH", type=Path, help=about)
     about = "only these topics; default: all with frames"
     export.add_argument("--topics", metavar="TOPIC", nargs="+", help=about)
     for name, option in _export_options().items():
         about = f"of {', '.join(option.exports)}: {option.about}"
-        rare(export).add_argument(f"--{name}", metavar=option.metavar, type=option.kind, help=about)
+        rare(export).add_argument(
+            f"--{name}", metavar=option.metavar, type=option.kind, help=about
+        )
 
 
 class _ExportOption(NamedTuple):
@@ -100,7 +110,9 @@ def _configure_import(parser: argparse.ArgumentParser) -> None:
     formats = "; ".join(f"{suffix}: {about}" for suffix, about in suffixes().items())
     # Plug-ins add formats, so that the list is made here.
     parser.description = f"{parser.description} Formats: {formats}."
-    parser.add_argument("files", metavar="FILE", nargs="+", type=_path, help="the recording")
+    parser.add_argument(
+        "files", metavar="FILE", nargs="+", type=_path, help="the recording"
+    )
     about = f"the recording, NAME{FILE_SUFFIX}; or a folder, for one a FILE"
     parser.add_argument("--out", metavar="PATH", required=True, help=about)
     add_layout(parser)
@@ -108,11 +120,15 @@ def _configure_import(parser: argparse.ArgumentParser) -> None:
         "first frames, of the untouched skin, whose median is the reading at rest, and which are "
         "left out; 0: readings are forces, whatever the untouched skin reads"
     )
-    parser.add_argument("--tare", metavar="N", type=whole(0, MAX_TARE_FRAMES), help=about)
+    parser.add_argument(
+        "--tare", metavar="N", type=whole(0, MAX_TARE_FRAMES), help=about
+    )
     about = "further channels, as x,y: each becomes a patch of its own, skin_x"
     rare(parser).add_argument("--keep", metavar="CHANNELS", default="", help=about)
     about = "readings fall with force: a force is the reading at rest less the reading"
-    rare(parser).add_argument("--invert", choices=("true", "false"), default="false", help=about)
+    rare(parser).add_argument(
+        "--invert", choices=("true", "false"), default="false", help=about
+    )
 
 
 def _path(text: str) -> Path:
@@ -137,7 +153,9 @@ def _recover(arguments: argparse.Namespace) -> int:
 
     with BagReader(arguments.bag) as bag:
         # The broken recording stays as it is.
-        out = arguments.out or arguments.bag.with_name(f"{_stem(bag.path)}_recovered{FILE_SUFFIX}")
+        out = arguments.out or arguments.bag.with_name(
+            f"{_stem(bag.path)}_recovered{FILE_SUFFIX}"
+        )
         n_messages = recover_bag(bag, out)
         print(f"{bag.path}: {bag.recovered or 'is whole'}")
     print(f"{out}: {_count(n_messages, 'message')}")
@@ -260,7 +278,9 @@ def info_lines(bag: "BagReader") -> list[str]:
     lines = [*facts(properties), ""]
     lines += table(["MESSAGES", "HZ", "SECONDS", "LOST", "TOPIC"], _topic_rows(bag))
     if bag.counts is None:
-        lines.append("lost messages are not known: the recorder did not get to write them")
+        lines.append(
+            "lost messages are not known: the recorder did not get to write them"
+        )
 
     # Names and texts of these are of the file, and may be long.
     states = {topic: _state_text(state) for topic, state in _states(bag).items()}

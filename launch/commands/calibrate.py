@@ -38,7 +38,16 @@ from sparseskin.nodes.sensor.raw_frames import (
 )
 from sparseskin.nodes.sensor.skin_file import save_skin
 
-from .options import add_graph, add_layout, as_options, layout_of, rare, real, show, whole
+from .options import (
+    add_graph,
+    add_layout,
+    as_options,
+    layout_of,
+    rare,
+    real,
+    show,
+    whole,
+)
 
 UNTOUCHED = "3s"
 STEP_S = 2.0
@@ -52,7 +61,9 @@ def configure(parser: argparse.ArgumentParser) -> None:
         "response curve from presses of known weight. Without --press it asks for each step."
     )
     rarely_used = rare(parser)
-    parser.add_argument("source", metavar="SOURCE", help="as sensor.source; readings may be raw")
+    parser.add_argument(
+        "source", metavar="SOURCE", help="as sensor.source; readings may be raw"
+    )
     # What every calibration states comes first, then options of presses.
     about = "file to write, NAME.toml; large arrays lie beside it in NAME.npz"
     parser.add_argument("--out", metavar="F.toml", type=Path, required=True, help=about)
@@ -62,22 +73,36 @@ def configure(parser: argparse.ArgumentParser) -> None:
         "a load and its frames, as 500g:12-15s, 4.9N:FILE; with an area that carries it evenly, as "
         "500g@all:FILE, 500g@4-11x8-15:12-15s (rows x columns); may be repeated"
     )
-    parser.add_argument("--press", metavar="LOAD[@AREA]:WHERE", action="append", help=about)
+    parser.add_argument(
+        "--press", metavar="LOAD[@AREA]:WHERE", action="append", help=about
+    )
     about = "ask nothing: take no presses, or those of --press"
     parser.add_argument("--no-questions", action="store_true", help=about)
     about = "live sources: seconds to wait before each step, in place of Enter"
-    rarely_used.add_argument("--wait", metavar="S", type=real(above_0=False), help=about)
+    rarely_used.add_argument(
+        "--wait", metavar="S", type=real(above_0=False), help=about
+    )
     about = "even loads of several weights: one curve for all taxels, one each, or none"
     rarely_used.add_argument("--curve", choices=CURVES, default=CURVES[0], help=about)
-    rarely_used.add_argument("--name", help="name of the skin; default: that of the file")
-    about = "upper end of a taxel's range; default: 1.25 times the largest force of a press"
+    rarely_used.add_argument(
+        "--name", help="name of the skin; default: that of the file"
+    )
+    about = (
+        "upper end of a taxel's range; default: 1.25 times the largest force of a press"
+    )
     parser.add_argument("--f-max", metavar="X", type=real(above_0=True), help=about)
-    about = "unit of the readings where there are no presses; default: that of the source"
+    about = (
+        "unit of the readings where there are no presses; default: that of the source"
+    )
     rarely_used.add_argument("--unit", help=about)
     about = "distance of neighbouring taxels; default: that of the source"
-    rarely_used.add_argument("--pitch-mm", metavar="X", type=real(above_0=True), help=about)
+    rarely_used.add_argument(
+        "--pitch-mm", metavar="X", type=real(above_0=True), help=about
+    )
     about = "without a press: readings fall with force"
-    rarely_used.add_argument("--invert", choices=("true", "false"), default="false", help=about)
+    rarely_used.add_argument(
+        "--invert", choices=("true", "false"), default="false", help=about
+    )
     about = "let the range begin below 0, so that noise around 0 is not clipped"
     rarely_used.add_argument("--keep-noise", action="store_true", help=about)
     add_layout(parser, but=("unit", "f_max", "rate_hz"))
@@ -179,7 +204,9 @@ class _Steps:
     def _asked(self, force: float) -> Press | None:
         """Area and frames of a load that a person states; None if there are no frames."""
         question = f"Area that carries it evenly ({AREAS}; empty: not known): "
-        answer = self._answer(question, lambda text: (f"@{text}", read_area(text, self._shape)))
+        answer = self._answer(
+            question, lambda text: (f"@{text}", read_area(text, self._shape))
+        )
         at, area = answer or ("", None)
         label = f"{force:.4g}N{at}"
         if self._reader.is_live:
@@ -225,7 +252,9 @@ class _Steps:
         part = read_part(where)
         if part is None:
             if not Path(where).exists():
-                raise CalibrationError(f"{where}: no such file; allowed: {PARTS}, or a file")
+                raise CalibrationError(
+                    f"{where}: no such file; allowed: {PARTS}, or a file"
+                )
             return open_file(where, self._layout, raw=True).frames
         if self._reader.is_live:
             begin_s, end_s = part
@@ -268,7 +297,14 @@ def report(calibration: Fit) -> list[str]:
     size = f"{skin.n_rows} x {skin.n_cols} taxels, {skin.f_min:g}..{skin.f_max:g} {skin.unit}"
     lines = [f"{skin.name}: {size}", *facts(_properties(calibration))]
     if calibration.presses:
-        head = ("PRESS", "STATED N", "MEASURED N", "ERROR %", "TAXELS +- %", "BEFORE +- %")
+        head = (
+            "PRESS",
+            "STATED N",
+            "MEASURED N",
+            "ERROR %",
+            "TAXELS +- %",
+            "BEFORE +- %",
+        )
         rows = []
         for press in calibration.presses:
             # What a person reads first: how far off each press is.
@@ -330,7 +366,9 @@ def _tare(arguments: argparse.Namespace) -> int:
         ask_node(graph, name, TARE, arguments.frames)
     results = {name: _wait_for_tare(graph, name) for name in names}
     lines = [f"{name}: {text}" for name, text in results.items()]
-    return show(arguments, "tare-result", {"graph": graph.label, "tared": results}, lines)
+    return show(
+        arguments, "tare-result", {"graph": graph.label, "tared": results}, lines
+    )
 
 
 def _calibrated(graph: RunningGraph) -> list[str]:
@@ -359,4 +397,6 @@ def _wait_for_tare(graph: RunningGraph, name: str) -> str:
             heard_s = time.monotonic()
             n_missing = n_now
         time.sleep(POLL_S)
-    raise GraphError(f"{name}: no frame for {PATIENCE_S:g} s; {n_missing} frames are missing")
+    raise GraphError(
+        f"{name}: no frame for {PATIENCE_S:g} s; {n_missing} frames are missing"
+    )

@@ -25,22 +25,42 @@ MORE = "More"
 OTHERS = "Plug-ins"
 """Groups of commands; `MORE` are rarely used, `OTHERS` of plug-ins that state no `GROUP`."""
 COMMANDS = {
-    "launch": (RUN, ".launch", "start a graph of nodes, watch it, print what was measured"),
+    "launch": (
+        RUN,
+        ".launch",
+        "start a graph of nodes, watch it, print what was measured",
+    ),
     "play": (RUN, ".play", "play a recording, on the live page too"),
     "scenes": (RUN, ".play", "list the graphs that launch knows by name"),
     "stop": (RUN, ".graph", "end a running graph"),
-    "monitor": (LOOK, ".observers", "watch a running graph on the live page or in the terminal"),
-    "topic": (LOOK, ".topic", "list, print and measure the messages of a running graph"),
+    "monitor": (
+        LOOK,
+        ".observers",
+        "watch a running graph on the live page or in the terminal",
+    ),
+    "topic": (
+        LOOK,
+        ".topic",
+        "list, print and measure the messages of a running graph",
+    ),
     "node": (LOOK, ".graph", "list and describe the nodes of a running graph"),
     "param": (LOOK, ".graph", "list, get and set the settings of a running graph"),
     "sources": (LOOK, ".sources", "list what a sensor of this host can read"),
     "scope": (LOOK, ".sources", "show the frames of a source in the terminal"),
     "record": (DATA, ".observers", "record topics of a running graph"),
     "recording": (DATA, ".bag", "look into a recording, repair it, convert it"),
-    "calibrate": (BUILD, ".calibrate", "make the file of a skin: from counts to newtons"),
+    "calibrate": (
+        BUILD,
+        ".calibrate",
+        "make the file of a skin: from counts to newtons",
+    ),
     "tare": (BUILD, ".calibrate", "make the readings of an untouched skin its zero"),
     "graph": (MORE, ".graph", "list the graphs that run on this host"),
-    "keys": (MORE, ".launch", "make keys, so that only your hosts read and write a graph"),
+    "keys": (
+        MORE,
+        ".launch",
+        "make keys, so that only your hosts read and write a graph",
+    ),
     "reprocess": (MORE, ".reprocess", "put recordings through other settings, offline"),
     "study": (MORE, "sparseskin.studies.command", "compute tables and charts anew"),
     "completion": (MORE, ".completion", "print the completion script of a shell"),
@@ -108,7 +128,9 @@ def make_parser(words: Sequence[str], everything: bool = True) -> "_Parser":
         "and options that are rarely used, too.",
     )
     parser.add_argument("--version", action=_Version, nargs=0, help="print the version")
-    commands = parser.add_subparsers(prog="sparseskin", metavar="COMMAND", help=argparse.SUPPRESS)
+    commands = parser.add_subparsers(
+        prog="sparseskin", metavar="COMMAND", help=argparse.SUPPRESS
+    )
     commands.required = True
     for name in names:
         # The others are names alone: their modules are not imported.
@@ -153,7 +175,9 @@ def _configure(name: str, parser: argparse.ArgumentParser) -> None:
         raise
     except Exception as error:
         # A plug-in may raise anything.
-        raise SparseskinError(f"{name}: plug-in {plugin.__name__}: {one_line(error)}") from error
+        raise SparseskinError(
+            f"{name}: plug-in {plugin.__name__}: {one_line(error)}"
+        ) from error
 
 
 class _Parser(argparse.ArgumentParser):
@@ -208,10 +232,14 @@ class _Parser(argparse.ArgumentParser):
             allowed = [choice.strip("'") for choice in listing.split(", ")]
             hint = nearest_of(word, allowed)
             message = f"{place}: invalid choice: '{word}'{hint}"
-        self.exit(EXIT_USAGE, f"{self.prog}: {printable(message)} (see {self.prog} --help)\n")
+        self.exit(
+            EXIT_USAGE, f"{self.prog}: {printable(message)} (see {self.prog} --help)\n"
+        )
 
 
-_CHOICE = re.compile(r"(argument .+): invalid choice: '(.*)' \(choose from (.*)\)", re.DOTALL)
+_CHOICE = re.compile(
+    r"(argument .+): invalid choice: '(.*)' \(choose from (.*)\)", re.DOTALL
+)
 """The message of argparse for a word that is not among those allowed."""
 
 

@@ -133,7 +133,11 @@ def _parameters(metavar: str, typed: argparse.Namespace) -> Words:
     entries = describe_node(_graph(typed), typed.node)["settings"]
     is_set = "value" in typed
     if metavar == "KEY":
-        return {entry["key"]: entry["doc"] for entry in entries if entry["live"] or not is_set}
+        return {
+            entry["key"]: entry["doc"]
+            for entry in entries
+            if entry["live"] or not is_set
+        }
     words: list[str] = []
     for entry in entries:
         if entry["key"] == typed.key:
@@ -169,7 +173,9 @@ def _overrides(prefix: str, types: Mapping[str, str]) -> Words:
     if not equals:
         return {f"{name}.{entry['key']}=": entry["doc"] for entry in entries}
     if types[name] == "sensor" and key == "source":
-        return {f"{name}.source={word}": about for word, about in sources(value).items()}
+        return {
+            f"{name}.source={word}": about for word, about in sources(value).items()
+        }
     values: list[str] = []
     for entry in entries:
         if entry["key"] == key:

@@ -51,7 +51,12 @@ def _list_graphs(arguments: argparse.Namespace) -> int:
         nodes = list(graph.nodes)
         rows.append([graph.name, graph.pid, ", ".join(nodes) or "(starting)"])
         described.append(
-            {"name": graph.name, "pid": graph.pid, "nodes": nodes, "starting": not nodes}
+            {
+                "name": graph.name,
+                "pid": graph.pid,
+                "nodes": nodes,
+                "starting": not nodes,
+            }
         )
     lines = ["no graph runs on this host"]
     if rows:
@@ -191,16 +196,24 @@ def _node_tables(node: dict[str, Any]) -> dict[tuple[str, ...], list[list[Any]]]
 
 
 def configure_param(parser: argparse.ArgumentParser) -> None:
-    add = add_commands(parser, "The settings of the nodes of a graph that runs on this host.")
+    add = add_commands(
+        parser, "The settings of the nodes of a graph that runs on this host."
+    )
     listing = add("list", _list_settings, "list settings, and what each may be")
-    listing.add_argument("node", metavar="NODE", nargs="?", help="name of a node; all by default")
+    listing.add_argument(
+        "node", metavar="NODE", nargs="?", help="name of a node; all by default"
+    )
     get = add("get", _get, "print one setting")
     change = add("set", _set, "set one setting, or several at once")
     for command in (get, change):
         command.add_argument("node", metavar="NODE", help="name of the node")
         command.add_argument("key", metavar="KEY", help="name of the setting")
-    change.add_argument("value", metavar="VALUE", help="as in a launch file; none: not stated")
-    change.add_argument("more", metavar="KEY VALUE", nargs="*", default=[], help="further settings")
+    change.add_argument(
+        "value", metavar="VALUE", help="as in a launch file; none: not stated"
+    )
+    change.add_argument(
+        "more", metavar="KEY VALUE", nargs="*", default=[], help="further settings"
+    )
     for command in (listing, get, change):
         add_graph(command, "one JSON document")
 

@@ -44,7 +44,9 @@ Your own file:  {0} launch F"""
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
-    parser.description = "Start a graph of nodes, watch it, and print what the monitor measured."
+    parser.description = (
+        "Start a graph of nodes, watch it, and print what the monitor measured."
+    )
     parser.epilog = f"Bundled launch files: {', '.join(bundled_names())}. {STATUS_LINE}"
     about = "launch file; or a recording, which is replayed as a skin"
     parser.add_argument("name", metavar="NAME|FILE", help=about)
@@ -59,12 +61,18 @@ def configure(parser: argparse.ArgumentParser) -> None:
         type=whole(1),
         help="end each source after K frames of the sensor; a player plays all messages of these",
     )
-    about = "check the launch file (modules that it names are imported), print the graph"
+    about = (
+        "check the launch file (modules that it names are imported), print the graph"
+    )
     parser.add_argument("--dry-run", action="store_true", help=about)
     about = "run the part of this host, of a graph of several"
     rare(parser).add_argument("--host", metavar="NAME", help=about)
-    parser.add_argument("--record", metavar="F.mcap", help="record all topics into a file")
-    about = "open the live page in a browser; a scene or recording is shown again and again"
+    parser.add_argument(
+        "--record", metavar="F.mcap", help="record all topics into a file"
+    )
+    about = (
+        "open the live page in a browser; a scene or recording is shown again and again"
+    )
     add_page(parser, about)
     add_summary(parser)
     parser.set_defaults(run=_launch)
@@ -142,7 +150,11 @@ def graph_text(launch: "LaunchFile") -> str:
     for topic, writer in writers.items():
         topics.append([topic, writer, ", ".join(readers[topic])])
 
-    lines = [f"{launch.name}: {launch.description}", f"transport {launch.transport}", ""]
+    lines = [
+        f"{launch.name}: {launch.description}",
+        f"transport {launch.transport}",
+        "",
+    ]
     lines += table(["NODE", "TYPE", "SETTINGS"], nodes)
     if hosts:
         lines += ["", *table(["HOST", "ADDRESS", "NODES"], hosts)]
@@ -192,7 +204,9 @@ def _run(launch: "LaunchFile", arguments: argparse.Namespace) -> int:
     # None where the monitor is on another host.
     patches = summary["patches"]
     # A patch of which no frame came has nothing to show beside others.
-    sensed = {name: patch for name, patch in patches.items() if patch["frames"]["sensed"]}
+    sensed = {
+        name: patch for name, patch in patches.items() if patch["frames"]["sensed"]
+    }
     try:
         if sensed or code != EXIT_USAGE:
             _print_summary(sensed or patches, summary["nodes"])
@@ -236,7 +250,10 @@ def _run_log(launch: "LaunchFile") -> "RunLog | None":
         return RunLog(user_folder("state") / "log", launch.name, time.time(), MAX_RUNS)
     except SparseskinError as error:
         reason = str(error).removeprefix("log_dir: ")
-        print(f"warning: no log files: {reason}; graph.log_dir states another", file=sys.stderr)
+        print(
+            f"warning: no log files: {reason}; graph.log_dir states another",
+            file=sys.stderr,
+        )
         return None
 
 
@@ -246,9 +263,13 @@ KEY_FOLDER = "keys"
 def configure_keys(parser: argparse.ArgumentParser) -> None:
     about = "Key pairs, one a host: its secret stays there, its public key goes to the others."
     make = add_commands(parser, about)("make", _make_keys, "make a key pair")
-    make.add_argument("name", metavar="NAME", help="name of the key, as a rule that of the host")
+    make.add_argument(
+        "name", metavar="NAME", help="name of the key, as a rule that of the host"
+    )
     about = f"folder to write to (default: {KEY_FOLDER})"
-    make.add_argument("--dir", metavar="D", type=Path, default=Path(KEY_FOLDER), help=about)
+    make.add_argument(
+        "--dir", metavar="D", type=Path, default=Path(KEY_FOLDER), help=about
+    )
 
 
 def _make_keys(arguments: argparse.Namespace) -> int:

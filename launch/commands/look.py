@@ -33,7 +33,9 @@ MAX_STEPS = 1000
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("file", metavar="FILE", help="a file, a folder, or example:NAME")
+    parser.add_argument(
+        "file", metavar="FILE", help="a file, a folder, or example:NAME"
+    )
     add_layout(parser)
 
 
@@ -77,7 +79,9 @@ def _head_lines(name: str, layout: Layout) -> list[str]:
     if head.rate_hz is not None:
         properties["rate"] = f"{head.rate_hz:g} Hz"
     if head.mask is not None:
-        properties["mask"] = f"{int(head.mask.sum())} of {head.mask.size} cells are taxels"
+        properties["mask"] = (
+            f"{int(head.mask.sum())} of {head.mask.size} cells are taxels"
+        )
     return facts(properties)
 
 
@@ -162,7 +166,13 @@ def _frame_lines(name: str, layout: Layout) -> list[str]:
         properties[f"note {k + 1}"] = as_options(note)
 
     command = _command(name, layout)
-    return [*facts(properties), "", *_picture_lines(forces), "", f"import it: {command}"]
+    return [
+        *facts(properties),
+        "",
+        *_picture_lines(forces),
+        "",
+        f"import it: {command}",
+    ]
 
 
 def _steps_text(stamps_ns: list[int]) -> str:

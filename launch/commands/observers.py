@@ -17,10 +17,11 @@ from .options import add_graph, add_page, naming_options, print_ends, rare, whol
 
 
 def configure_monitor(parser: argparse.ArgumentParser) -> None:
-    parser.description = (
-        "Watch a running graph on a live page, or in this terminal, until it ends or Ctrl-C."
+    place = "on a live page, or in this terminal"
+    parser.description = f"Watch a running graph {place}, until it ends or Ctrl-C."
+    parser.add_argument(
+        "--text", action="store_true", help="in this terminal, without a page"
     )
-    parser.add_argument("--text", action="store_true", help="in this terminal, without a page")
     add_page(parser)
     about = "port of the page on 127.0.0.1; 8470 by default"
     rare(parser).add_argument("--port", type=whole(0), help=about)
@@ -34,13 +35,19 @@ def configure_record(parser: argparse.ArgumentParser) -> None:
     )
     about = "topics, all by default; * matches any text"
     parser.add_argument("topics", metavar="TOPIC", nargs="*", help=about)
-    parser.add_argument("--out", metavar="F.mcap", help="file to write; named by graph and time")
+    parser.add_argument(
+        "--out", metavar="F.mcap", help="file to write; named by graph and time"
+    )
     add_graph(parser)
     parser.set_defaults(run=_record)
 
 
 def run_beside(
-    graph: RunningGraph, type_name: str, name: str, values: dict[str, Any], topics: list[str]
+    graph: RunningGraph,
+    type_name: str,
+    name: str,
+    values: dict[str, Any],
+    topics: list[str],
 ) -> tuple[int, dict[str, Any]]:
     """Run one node that reads topics of a running graph; return its exit code and its summary."""
     from sparseskin.launch.launchfile.load import single_node
@@ -84,7 +91,9 @@ def _monitor(arguments: argparse.Namespace) -> int:
     from sparseskin.nodes.monitor.table import summary_table
 
     if arguments.text and (arguments.open or arguments.port is not None):
-        raise SettingsError("--text: goes with neither --open nor --port: it has no page")
+        raise SettingsError(
+            "--text: goes with neither --open nor --port: it has no page"
+        )
     graph = choose_graph(arguments.graph)
     patches, topics = _watched(graph)
     # A batch is shown as its patches.
@@ -100,7 +109,9 @@ def _monitor(arguments: argparse.Namespace) -> int:
     if arguments.port is not None:
         values["port"] = arguments.port
     with naming_options({"port": "--port"}):
-        code, summary = run_beside(graph, "monitor", f"monitor_{os.getpid()}", values, topics)
+        code, summary = run_beside(
+            graph, "monitor", f"monitor_{os.getpid()}", values, topics
+        )
 
     if summary["patches"]:
         print(summary_table(summary["patches"]))
@@ -147,7 +158,10 @@ def _record(arguments: argparse.Namespace) -> int:
     print_ends(summary["nodes"])
     # The recorder was ended before it had opened its file.
     if code == 0 and "recording" not in summary["nodes"][name]:
-        print(f"{out}: nothing was recorded: the recorder had not started yet", file=sys.stderr)
+        print(
+            f"{out}: nothing was recorded: the recorder had not started yet",
+            file=sys.stderr,
+        )
         return EXIT_NOTHING
     return code
 

@@ -170,7 +170,9 @@ def bag_names(names: Sequence[str], out: str) -> list[str]:
     folder = Path(out)
     if len(names) == 1 and not folder.is_dir():
         if not out.endswith(FILE_SUFFIX):
-            raise SettingsError(f"--out {out}: expected a name that ends in {FILE_SUFFIX}")
+            raise SettingsError(
+                f"--out {out}: expected a name that ends in {FILE_SUFFIX}"
+            )
         return [out]
     for name in names:
         if names.count(name) > 1:
@@ -178,19 +180,27 @@ def bag_names(names: Sequence[str], out: str) -> list[str]:
     if not folder.is_dir():
         # It would be made as a folder with the name of a recording.
         if folder.suffix == FILE_SUFFIX:
-            raise SettingsError(f"--out {out}: several files need a folder, one recording each")
+            raise SettingsError(
+                f"--out {out}: several files need a folder, one recording each"
+            )
         with os_errors(folder):
             folder.mkdir()
     return [str(folder / name) for name in names]
 
 
-def add_set(parser: argparse.ArgumentParser, about: str, metavar: str = "KEY=VALUE") -> None:
+def add_set(
+    parser: argparse.ArgumentParser, about: str, metavar: str = "KEY=VALUE"
+) -> None:
     """Add --set; `stated_values` reads KEY=VALUE, `load` of a launch file NODE.KEY=VALUE."""
     about = f"{about} (may be repeated)"
-    parser.add_argument("--set", metavar=metavar, action="append", default=[], help=about)
+    parser.add_argument(
+        "--set", metavar=metavar, action="append", default=[], help=about
+    )
 
 
-def stated_values(words: Iterable[str], entries: Iterable[Mapping[str, Any]]) -> dict[str, Any]:
+def stated_values(
+    words: Iterable[str], entries: Iterable[Mapping[str, Any]]
+) -> dict[str, Any]:
     """Settings that --set KEY=VALUE states, typed as those of a launch file.
 
     `entries` describe the settings that are allowed, as `Settings.described`. Raises SettingsError
@@ -203,7 +213,9 @@ def stated_values(words: Iterable[str], entries: Iterable[Mapping[str, Any]]) ->
         if not equals:
             raise SettingsError(f"--set {word}: expected KEY=VALUE")
         if key not in allowed:
-            raise SettingsError(f"--set {word}: unknown key{did_you_mean(key, allowed)}")
+            raise SettingsError(
+                f"--set {word}: unknown key{did_you_mean(key, allowed)}"
+            )
         values[key] = typed_value(text, allowed[key])
     return values
 
@@ -328,7 +340,10 @@ def _n_lost(node: Mapping[str, Any]) -> int:
 
 
 def show(
-    arguments: argparse.Namespace, name: str, document: Mapping[str, Any], lines: Iterable[str]
+    arguments: argparse.Namespace,
+    name: str,
+    document: Mapping[str, Any],
+    lines: Iterable[str],
 ) -> int:
     """Print a document of the format `name` as JSON where that is asked for, else lines; return the
     exit code.
@@ -348,7 +363,9 @@ def whole(low: int, high: int | None = None) -> Callable[[str], int]:
         # int() would also read other digits, spaces and underscores.
         is_number = text.isascii() and text.isdigit() and len(text) < 16
         if not is_number or int(text) < low or (high is not None and int(text) > high):
-            raise argparse.ArgumentTypeError(f"{text!r}: expected a whole number, {allowed}")
+            raise argparse.ArgumentTypeError(
+                f"{text!r}: expected a whole number, {allowed}"
+            )
         return int(text)
 
     return read

@@ -26,7 +26,16 @@ PLAY_KEYS = {
 }
 OPTIONS = {
     key: f"--{key.removesuffix('_s')}"
-    for key in ("rate", "loop", "start_s", "duration_s", "topics", "remap", "lockstep", "wait")
+    for key in (
+        "rate",
+        "loop",
+        "start_s",
+        "duration_s",
+        "topics",
+        "remap",
+        "lockstep",
+        "wait",
+    )
 }
 """Settings of the player, and the options that state them."""
 
@@ -40,16 +49,24 @@ def configure_play(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("file", metavar="F.mcap", help="recording")
     about = "times the recorded speed; 0: as fast as it is read"
     parser.add_argument("--rate", type=real(False), metavar="R", help=about)
-    parser.add_argument("--loop", action="store_true", default=None, help="start again at the end")
+    parser.add_argument(
+        "--loop", action="store_true", default=None, help="start again at the end"
+    )
     seconds: dict[str, Any] = {"type": real(False), "metavar": "S"}
     parser.add_argument("--start", dest="start_s", help="seconds to skip", **seconds)
-    parser.add_argument("--duration", dest="duration_s", help="seconds to play", **seconds)
+    parser.add_argument(
+        "--duration", dest="duration_s", help="seconds to play", **seconds
+    )
     rarely_used.add_argument("--topics", nargs="+", metavar="T", help="topics to play")
     about = "other names for topics or patches"
     rarely_used.add_argument("--remap", nargs="+", metavar="A:=B", help=about)
     about = "send no frame before all readers have handled the last"
-    rarely_used.add_argument("--lockstep", action="store_true", default=None, help=about)
-    rarely_used.add_argument("--wait", type=whole(0), metavar="K", help="wait for K readers first")
+    rarely_used.add_argument(
+        "--lockstep", action="store_true", default=None, help=about
+    )
+    rarely_used.add_argument(
+        "--wait", type=whole(0), metavar="K", help="wait for K readers first"
+    )
     rarely_used.add_argument("--pause", action="store_true", help="start paused")
     add_page(parser, "open a live page that shows it, again and again")
     parser.set_defaults(run=_play)
@@ -66,7 +83,9 @@ def _play(arguments: argparse.Namespace) -> int:
     path = Path(arguments.file)
     # What is not stated is left to the defaults of the player.
     stated = {key: getattr(arguments, key) for key in OPTIONS}
-    values: dict[str, Any] = {key: value for key, value in stated.items() if value is not None}
+    values: dict[str, Any] = {
+        key: value for key, value in stated.items() if value is not None
+    }
     values["file"] = str(path)
     values["paused"] = arguments.pause
     # The stamps of a loop would go back: they are made anew.
@@ -83,7 +102,9 @@ def _play(arguments: argparse.Namespace) -> int:
     return code
 
 
-def _with_page(arguments: argparse.Namespace, path: Path, values: dict[str, Any]) -> "LaunchFile":
+def _with_page(
+    arguments: argparse.Namespace, path: Path, values: dict[str, Any]
+) -> "LaunchFile":
     """A player and a monitor with its page, or SettingsError if there is too little to show."""
     from sparseskin.launch.launchfile.load import load_tables
     from sparseskin.nodes.monitor.node import OPTIONAL, REQUIRED
@@ -92,7 +113,9 @@ def _with_page(arguments: argparse.Namespace, path: Path, values: dict[str, Any]
 
     for option in ("topics", "remap"):
         if getattr(arguments, option):
-            raise SettingsError(f"--{option}: does not go with --open, which plays what it shows")
+            raise SettingsError(
+                f"--{option}: does not go with --open, which plays what it shows"
+            )
     # What is shown depends on what was recorded.
     with BagReader(path) as bag:
         batches = names_of(bag)

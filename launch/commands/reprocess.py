@@ -28,12 +28,20 @@ def configure(parser: argparse.ArgumentParser) -> None:
     )
     rarely_used = rare(parser)
     parser.add_argument("files", metavar="F.mcap", nargs="+", help="recordings")
-    add_set(parser, "change a setting of the compressor or the reconstructor", "NODE.KEY=VALUE")
+    add_set(
+        parser,
+        "change a setting of the compressor or the reconstructor",
+        "NODE.KEY=VALUE",
+    )
     about = "file to write; a folder for several, made if it does not exist"
     parser.add_argument("--out", metavar="G.mcap", required=True, help=about)
     about = "recorded stream to start from; auto: measurements, unless the compressor is changed"
     rarely_used.add_argument(
-        "--from", dest="start_from", choices=START_POINTS, default=START_POINTS[0], help=about
+        "--from",
+        dest="start_from",
+        choices=START_POINTS,
+        default=START_POINTS[0],
+        help=about,
     )
     about = f"where recordings are computed side by side: {FORMS}"
     rarely_used.add_argument("--executor", metavar="WHERE", help=about)

@@ -100,8 +100,12 @@ def configure_scope(parser: argparse.ArgumentParser) -> None:
         "output is no terminal, one line a second."
     )
     parser.add_argument("source", metavar="SOURCE", help="one of sparseskin sources")
-    parser.add_argument("--frames", type=whole(1), metavar="N", help="end after so many frames")
-    parser.add_argument("--seconds", type=real(True), metavar="S", help="end after so long")
+    parser.add_argument(
+        "--frames", type=whole(1), metavar="N", help="end after so many frames"
+    )
+    parser.add_argument(
+        "--seconds", type=real(True), metavar="S", help="end after so long"
+    )
     add_set(parser, f"state what the source does not: {', '.join(KEYS)}")
     parser.set_defaults(run=_scope)
 
@@ -126,7 +130,9 @@ def _scope(arguments: argparse.Namespace) -> int:
     return 0 if view.n_frames else 1
 
 
-def _show_frames(arguments: argparse.Namespace, source: Source, view: "View", lively: bool) -> None:
+def _show_frames(
+    arguments: argparse.Namespace, source: Source, view: "View", lively: bool
+) -> None:
     """Show frames until their number, the time, or a person ends it."""
     terminal = Terminal()
     # A log would be flooded by what a person can watch.
@@ -150,7 +156,11 @@ def _show_frames(arguments: argparse.Namespace, source: Source, view: "View", li
             if now_s >= next_s:
                 next_s = now_s + period_s
                 print(_shown_text(view, now_s, lively), end="", flush=True)
-            if view.n_frames == arguments.frames or now_s >= end_s or "q" in terminal.pressed():
+            if (
+                view.n_frames == arguments.frames
+                or now_s >= end_s
+                or "q" in terminal.pressed()
+            ):
                 break
 
 
@@ -245,7 +255,9 @@ class View:
         """Name, figures, what was dropped, and the last line of the source."""
         self.take_lines()
         skin = self._source.skin
-        title = f"{printable(self._source.name)}   {skin.n_rows} x {skin.n_cols} taxels, "
+        title = (
+            f"{printable(self._source.name)}   {skin.n_rows} x {skin.n_cols} taxels, "
+        )
         title += f"0..{skin.f_max:g} {printable(skin.unit)}   (q: quit)"
         lines = [title, self.text(now_s)]
         if self.forces is not None:

@@ -31,7 +31,17 @@ SKIN = "skin"
 """Name of the table."""
 MAX_BODY = 4096
 """Most patches of a body."""
-_OF_SKIN = ("n_rows", "n_cols", "points", "pitch_mm", "f_max", "unit", "mask", "noise", "noise_mid")
+_OF_SKIN = (
+    "n_rows",
+    "n_cols",
+    "points",
+    "pitch_mm",
+    "f_max",
+    "unit",
+    "mask",
+    "noise",
+    "noise_mid",
+)
 
 
 @dataclass(frozen=True)
@@ -44,7 +54,9 @@ class SkinTable(Settings):
     n_cols: int = setting(64, "columns of taxels of a patch")
     pitch_mm: float = setting(PITCH_MM, "distance of neighbouring taxels, mm")
     f_max: float = setting(PAPER_F_MAX_N, "upper end of the range of a taxel, N")
-    batch: int = setting(MAX_PATCHES, "most patches of one batch", low=1, high=MAX_PATCHES)
+    batch: int = setting(
+        MAX_PATCHES, "most patches of one batch", low=1, high=MAX_PATCHES
+    )
 
 
 @dataclass(frozen=True)
@@ -81,14 +93,20 @@ class Patch:
     def simulated(self) -> dict[str, Any]:
         """The setting `simulated` of a sensor node for such patches."""
         s = self.skin
-        values: dict[str, Any] = {"f_max": s.f_max, "noise": s.noise, "noise_mid": s.noise_mid}
+        values: dict[str, Any] = {
+            "f_max": s.f_max,
+            "noise": s.noise,
+            "noise_mid": s.noise_mid,
+        }
         if s.placement is not None:
             values["points"] = s.placement.layout
         else:
             values |= {"n_rows": s.n_rows, "n_cols": s.n_cols}
             values["pitch_mm"] = s.pitch_mm or PITCH_MM
             if s.mask is not None and not s.mask.all():
-                values["mask"] = ["".join("01"[cell] for cell in row) for row in s.mask.astype(int)]
+                values["mask"] = [
+                    "".join("01"[cell] for cell in row) for row in s.mask.astype(int)
+                ]
         return {key: value for key, value in values.items() if value is not None}
 
 
@@ -122,7 +140,10 @@ def read_skin(table: object, folder: Path, fault: Fault) -> list[Batch]:
         if not n_faults:
             note((SKIN, "patches"), f"is missing, and body too; allowed: 1..{MAX_BODY}")
     else:
-        values = {key: getattr(stated, key) for key in ("n_rows", "n_cols", "pitch_mm", "f_max")}
+        values = {
+            key: getattr(stated, key)
+            for key in ("n_rows", "n_cols", "pitch_mm", "f_max")
+        }
         try:
             skin = SkinDescription(name=SKIN, **values)
         except SparseskinError as error:
@@ -146,12 +167,18 @@ def read_body(path: Path, fault: Callable[[str], None]) -> list[Patch]:
         with path.open(encoding="utf-8") as file:
             tree = parse_toml(file.read(MAX_FILE_CHARS + 1), MAX_FILE_CHARS)
     except (OSError, ValueError) as error:
-        why = error.strerror if isinstance(error, OSError) else " ".join(str(error).split())
+        why = (
+            error.strerror
+            if isinstance(error, OSError)
+            else " ".join(str(error).split())
+        )
         fault(f"{path}: cannot be read ({why})")
         return []
     for key in tree:
         if key not in ("patches", "description"):
-            fault(f"{path}: {key[:40]}: unknown key{did_you_mean(key, ('patches', 'description'))}")
+            fault(
+                f"{path}: {key[:40]}: unknown key{did_you_mean(key, ('patches', 'description'))}"
+            )
     tables = tree.get("patches")
     if not isinstance(tables, list) or not 1 <= len(tables) <= MAX_BODY:
         fault(f"{path}: patches: expected 1..{MAX_BODY} tables [[patches]]")
@@ -173,35 +200,48 @@ def _patch(table: object, where: str, folder: Path) -> Patch:
     """One table [[patches]]; SparseskinError with its place if it is not as stated."""
     if not isinstance(table, dict):
         raise SparseskinError(f"{where}: expected a table [[patches]]")
-    allowed = (*(table_field.name for table_field in dataclasses.fields(PatchTable)), *_OF_SKIN)
+    allowed = (
+        *(table_field.name for table_field in dataclasses.fields(PatchTable)),
+        *_OF_SKIN,
+    )
     for key in table:
         if key not in allowed:
-            raise SparseskinError(f"{where}.{key[:40]}: unknown key{did_you_mean(key, allowed)}")
+            raise SparseskinError(
+                f"{where}.{key[:40]}: unknown key{did_you_mean(key, allowed)}"
+            )
     name: Any = table.get("name")
     if why := bad_name(name):
         raise SparseskinError(f"{where}.name: {why}")
     where = f"{where} ({name})"
     skin_keys = {key: table[key] for key in _OF_SKIN if key in table}
     try:
-        stated = PatchTable(**{key: value for key, value in table.items() if key not in skin_keys})
+        stated = PatchTable(
+            **{key: value for key, value in table.items() if key not in skin_keys}
+        )
     except SparseskinError as error:
         raise SparseskinError(f"{where}.{error}") from error
     if stated.skin:
         if skin_keys:
-            raise SparseskinError(f"{where}.{next(iter(skin_keys))}: is stated beside skin")
+            raise SparseskinError(
+                f"{where}.{next(iter(skin_keys))}: is stated beside skin"
+            )
         skin = load_skin(folder / stated.skin)
     else:
         flat = {} if "points" in skin_keys else {"pitch_mm": PITCH_MM}
         values = {"name": name, "f_max": PAPER_F_MAX_N, **flat, **skin_keys}
         skin = parse_skin(values, where, folder)
     if skin.unit != "N":
-        raise SparseskinError(f"{where}.unit: '{skin.unit}'; allowed for a simulated body: N")
+        raise SparseskinError(
+            f"{where}.unit: '{skin.unit}'; allowed for a simulated body: N"
+        )
     compressor = stated.compressor or {}
     for key in ("patch", "patches"):
         if key in compressor:
             raise SparseskinError(f"{where}.compressor.{key}: is given by the body")
     try:
-        CompressorSettings.from_mapping({**compressor, "patches": [name, f"{name}_"]}).check()
+        CompressorSettings.from_mapping(
+            {**compressor, "patches": [name, f"{name}_"]}
+        ).check()
     except SparseskinError as error:
         raise SparseskinError(f"{where}.compressor.{error}") from error
     if stated.pose is not None:
@@ -241,7 +281,9 @@ def expand(
     if "batches" in fields:
         all_names = {batch.name: batch.names for batch in batches}
         every = [patch for batch in batches for patch in batch.patches]
-        poses = {patch.name: list(patch.pose) for patch in every if patch.pose is not None}
+        poses = {
+            patch.name: list(patch.pose) for patch in every if patch.pose is not None
+        }
         return {name: {"patches": [], "batches": all_names, "poses": poses, **table}}
     if not {"patch", "patches"} <= fields or "patches" in table or "patch" in table:
         return {name: dict(table)}

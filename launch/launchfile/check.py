@@ -19,7 +19,14 @@ from sparseskin.nodes.sensor.layout.checks import spelled
 from sparseskin.nodes.settings import Settings, setting
 from sparseskin.nodes.toml import toml_or_text
 
-from .hosts import Host, check_exposure, check_place, give_ports, read_hosts, read_security
+from .hosts import (
+    Host,
+    check_exposure,
+    check_place,
+    give_ports,
+    read_hosts,
+    read_security,
+)
 from .processes import Composition, check_processes
 from .spec import LAUNCHER, LIVE_RECORDER, LaunchError, LaunchFile, NodeSpec
 from .tables import read_table, read_tables
@@ -78,7 +85,10 @@ class Checker:
         for override in overrides:
             self.override(override, tables)
         (graph, *self.supervision), _ = read_table(
-            self.tree.get(GRAPH, {}), (GRAPH,), self.fault, *(cls() for cls in GRAPH_TABLES)
+            self.tree.get(GRAPH, {}),
+            (GRAPH,),
+            self.fault,
+            *(cls() for cls in GRAPH_TABLES),
         )
         hosts = read_hosts(self.tree, self.fault)
         security = read_security(self.tree, hosts, self.folder, self.fault)
@@ -139,7 +149,9 @@ class Checker:
     def joined(self, nodes: dict[str, NodeSpec]) -> list[Link]:
         """The links of the graph; none, and a fault noted, where they cannot be made."""
         try:
-            return join({spec.name: (spec.cls, spec.settings) for spec in nodes.values()})
+            return join(
+                {spec.name: (spec.cls, spec.settings) for spec in nodes.values()}
+            )
         except SparseskinError as error:
             self.errors.append(f"{self.title}: {error}")
             return []
@@ -147,7 +159,9 @@ class Checker:
     def place(self, nodes: dict[str, NodeSpec], hosts: Mapping[str, Host]) -> None:
         """Put nodes on their hosts, with the ports at which they publish there."""
         # All that publish, read or not: a recorder more on one host moves no port of another.
-        publish = {name: place for name, place in self.places.items() if nodes[name].outputs}
+        publish = {
+            name: place for name, place in self.places.items() if nodes[name].outputs
+        }
         endpoints = give_ports(publish, hosts, self.fault)
         for name, place in self.places.items():
             public = endpoints.get(name, "")
@@ -155,7 +169,9 @@ class Checker:
 
     def node_tables(self) -> dict[str, dict[str, Any]]:
         if not self.tree.get("nodes"):
-            self.errors.append(f"{self.title}: nodes: expected at least one table [nodes.NAME]")
+            self.errors.append(
+                f"{self.title}: nodes: expected at least one table [nodes.NAME]"
+            )
             return {}
         tables = read_tables(self.tree, "nodes", MAX_NODES, self.fault)
         for name in [*tables]:
@@ -185,7 +201,10 @@ class Checker:
             self.templates |= dict.fromkeys(of_batches, name)
             for again in of_batches:
                 if again in node_tables or (again != name and again in tables):
-                    self.fault(("nodes", name), f"makes a node '{again}', of which there is one")
+                    self.fault(
+                        ("nodes", name),
+                        f"makes a node '{again}', of which there is one",
+                    )
             node_tables |= of_batches
         if len(node_tables) > MAX_NODES:
             self.errors.append(
@@ -236,7 +255,11 @@ class Checker:
         # A recorder, recognised by its settings: importing its class loads the writers of files.
         if {"launch", "source", "out"} <= _setting_names(cls):
             values = {"launch": self.launched, "source": self.name} | values
-        deciding = [f.name for f in dataclasses.fields(cls.Settings) if f.metadata["range"].decides]
+        deciding = [
+            f.name
+            for f in dataclasses.fields(cls.Settings)
+            if f.metadata["range"].decides
+        ]
         right = dict(values)
         decided = True
         while True:
@@ -253,7 +276,9 @@ class Checker:
                 # With the fault left out, the others are found, but for those that follow from it.
                 decided = decided and not get_close_matches(key, deciding)
                 if part:
-                    right[key] = {k: value for k, value in right[key].items() if k != part}
+                    right[key] = {
+                        k: value for k, value in right[key].items() if k != part
+                    }
                 else:
                     del right[key]
                 continue
@@ -261,7 +286,9 @@ class Checker:
                 return None
             policies = {"restart": restart, "scheduling": scheduling}
             process = composition.process
-            return NodeSpec(name, type_name, cls, values, settings, **policies, process=process)
+            return NodeSpec(
+                name, type_name, cls, values, settings, **policies, process=process
+            )
 
     def check_settings(self, name: str, settings: Settings) -> None:
         """Check settings; a device that is not on this host is looked for by the node itself where
@@ -276,7 +303,9 @@ class Checker:
             if cause is None or name not in self.places:
                 raise
 
-    def node_fault(self, name: str, values: dict[str, Any], error: Exception) -> tuple[str, str]:
+    def node_fault(
+        self, name: str, values: dict[str, Any], error: Exception
+    ) -> tuple[str, str]:
         """Note an error that begins with the key of a node; return the key and, of a table, its
         part; "" where it names none.
         """
@@ -284,13 +313,17 @@ class Checker:
         key, _, part = begin.partition(".")
         problem = text.strip() if key in values else str(error)
         if key not in values:  # the line may begin with a value, as the name of a file
-            key = next((k for k, value in values.items() if value and value == begin), "")
+            key = next(
+                (k for k, value in values.items() if value and value == begin), ""
+            )
             part = ""
         if part and part not in values[key]:
             part = ""
         place = tuple(filter(None, ("nodes", name, key, part)))
         problem = spelled(problem, lambda key: f"--set {name}.{key}=")
-        self.fault(place, problem + (_to_name(name, values) if TO_NAME in problem else ""))
+        self.fault(
+            place, problem + (_to_name(name, values) if TO_NAME in problem else "")
+        )
         return key, part
 
     def fault(self, place: tuple[str, ...], problem: str) -> None:
@@ -303,9 +336,13 @@ class Checker:
             return
         line = _line_of(self.text, place)
         where = f"{self.title}:{line}" if line else self.title
-        self.errors.append(f"{where}: {'.'.join(place)[:MAX_ERROR]}: {one_line_of(problem)}")
+        self.errors.append(
+            f"{where}: {'.'.join(place)[:MAX_ERROR]}: {one_line_of(problem)}"
+        )
         if len(self.errors) >= MAX_ERRORS:
-            raise LaunchError([*self.errors, f"{self.title}: perhaps more; these come first"])
+            raise LaunchError(
+                [*self.errors, f"{self.title}: perhaps more; these come first"]
+            )
 
 
 def _setting_names(cls: type[Node[Any]]) -> set[str]:

@@ -30,7 +30,9 @@ class Host(Settings):
     """The table [hosts.NAME]: nodes that other hosts read are bound there."""
 
     address: str = setting("", "IPv4 address of the host")
-    base_port: int = setting(5700, "port of its first node", low=PORTS.start, high=PORTS.stop - 1)
+    base_port: int = setting(
+        5700, "port of its first node", low=PORTS.start, high=PORTS.stop - 1
+    )
     key: str = setting("", "name of its key; that of the host by default")
 
     def __post_init__(self) -> None:
@@ -39,9 +41,13 @@ class Host(Settings):
         with suppress(ValueError):
             parsed = ipaddress.IPv4Address(self.address)
         # That none is stated is reported as missing.
-        if self.address and (parsed is None or parsed.is_unspecified or parsed.is_multicast):
+        if self.address and (
+            parsed is None or parsed.is_unspecified or parsed.is_multicast
+        ):
             allowed = "(allowed: the IPv4 address of one host, as 192.168.1.10)"
-            raise SettingsError(f"address: {self.address!r} is no address of a host {allowed}")
+            raise SettingsError(
+                f"address: {self.address!r} is no address of a host {allowed}"
+            )
 
 
 @dataclass(frozen=True)
@@ -50,12 +56,16 @@ class Security(Settings):
 
     keys: str = setting("", "folder of the key files")
     key: str = setting("", "name of the own key of a graph of one host")
-    allow: tuple[str, ...] = setting((), "names of the keys of readers; by default all hosts'")
+    allow: tuple[str, ...] = setting(
+        (), "names of the keys of readers; by default all hosts'"
+    )
 
     def __post_init__(self) -> None:
         super().__post_init__()
         if any(map(bad_name, self.allow)):
-            raise SettingsError(f"allow: expected a list of names of keys, got {self.allow}")
+            raise SettingsError(
+                f"allow: expected a list of names of keys, got {self.allow}"
+            )
 
 
 def read_hosts(tree: Mapping[str, Any], fault: Fault) -> dict[str, Host]:
@@ -87,7 +97,9 @@ def read_security(
         fault((*place, "key"), "expected the name of this graph's key, a text")
     allow = security.allow or tuple(host.key for host in hosts.values() if host.key)
     allow = allow or tuple(filter(None, (security.key,)))
-    with_folder: Security = replace(security, keys=str(folder / security.keys), allow=allow)
+    with_folder: Security = replace(
+        security, keys=str(folder / security.keys), allow=allow
+    )
     return with_folder
 
 
@@ -110,7 +122,9 @@ def check_place(name: str, host: str, hosts: Mapping[str, Host], fault: Fault) -
     if not host:
         fault(("nodes", name), f"the key 'host' is missing (hosts: {', '.join(hosts)})")
     elif host not in hosts:
-        fault(("nodes", name, "host"), f"{host!r} is no host{did_you_mean(host, hosts)}")
+        fault(
+            ("nodes", name, "host"), f"{host!r} is no host{did_you_mean(host, hosts)}"
+        )
 
 
 def give_ports(
@@ -126,10 +140,16 @@ def give_ports(
         next_port[host] += 1
         endpoint = f"tcp://{hosts[host].address}:{port}"
         if port not in PORTS:
-            fault(("nodes", node), f"port {port} is outside {PORTS.start}..{PORTS.stop - 1}")
+            fault(
+                ("nodes", node),
+                f"port {port} is outside {PORTS.start}..{PORTS.stop - 1}",
+            )
         for other_node, taken in endpoints.items():
             if endpoint == taken:
-                fault(("nodes", node), f"publishes at {endpoint}, where {other_node} does too")
+                fault(
+                    ("nodes", node),
+                    f"publishes at {endpoint}, where {other_node} does too",
+                )
         endpoints[node] = endpoint
     return endpoints
 
@@ -147,7 +167,9 @@ class Credentials:
     servers: Mapping[str, str]
 
 
-def read_credentials(security: Security, key: str, hosts: Mapping[str, Host]) -> Credentials:
+def read_credentials(
+    security: Security, key: str, hosts: Mapping[str, Host]
+) -> Credentials:
     """Read the key files that the host with a key needs.
     Raises KeyFileError if one is missing or cannot be used.
     """
@@ -159,7 +181,11 @@ def read_credentials(security: Security, key: str, hosts: Mapping[str, Host]) ->
     file = folder / f"{key}{SECRET_SUFFIX}"
     key_pair = read_key_pair(file)
     allowed = {public(name): name for name in security.allow}
-    servers = {name: public(host.key) for name, host in hosts.items() if host.key != key}
+    servers = {
+        name: public(host.key) for name, host in hosts.items() if host.key != key
+    }
     # The nodes of this host read from each other with its own key.
     allowed[key_pair.public] = key
-    return Credentials(key_pair, str(file.resolve()), allowed, known_names(folder), servers)
+    return Credentials(
+        key_pair, str(file.resolve()), allowed, known_names(folder), servers
+    )

@@ -51,7 +51,9 @@ def find_launch_file(name: str) -> Path:
 
 
 @checked(SparseskinError)
-def load(name: str, overrides: Sequence[str] = (), record: str | None = None) -> LaunchFile:
+def load(
+    name: str, overrides: Sequence[str] = (), record: str | None = None
+) -> LaunchFile:
     """Read and check a launch file; modules that it names are searched in its folder too.
 
     Parameters
@@ -70,7 +72,9 @@ def load(name: str, overrides: Sequence[str] = (), record: str | None = None) ->
         With every error that was found, one line each.
     """
     if isinstance(overrides, str):
-        raise LaunchError([f'settings: expected a list, as ["{overrides}"], not a text'])
+        raise LaunchError(
+            [f'settings: expected a list, as ["{overrides}"], not a text']
+        )
     path = find_launch_file(name)
     title = path.name if path.parent == BUNDLED else str(path)
     try:
@@ -90,7 +94,9 @@ def _unreadable(shown: str, error: Exception) -> str:
     """The line for a file that is no TOML, with the place where the parser names one."""
     text = one_line_of(error)
     if place := _TOML_PLACE.search(text):
-        return f"{shown}:{place[1]}: not TOML: {text[: place.start()]}, column {place[2]}"
+        return (
+            f"{shown}:{place[1]}: not TOML: {text[: place.start()]}, column {place[2]}"
+        )
     return f"{shown}: not a TOML file: {text}"
 
 
@@ -101,7 +107,8 @@ def load_tables(
     Raises SparseskinError with the first error that was found.
     """
     text = "".join(
-        f"[nodes.{node}]\n" + "".join(f"{key} = {json.dumps(value)}\n" for key, value in t.items())
+        f"[nodes.{node}]\n"
+        + "".join(f"{key} = {json.dumps(value)}\n" for key, value in t.items())
         for node, t in tables.items()
     )
     try:

@@ -39,7 +39,9 @@ def by_process(specs: Iterable[NodeSpec]) -> list[list[NodeSpec]]:
     return list(groups.values())
 
 
-def check_processes(specs: Mapping[str, NodeSpec], stated: Collection[str], fault: Fault) -> None:
+def check_processes(
+    specs: Mapping[str, NodeSpec], stated: Collection[str], fault: Fault
+) -> None:
     """Check that the nodes of a process can share it: one host, one schedule, one policy.
 
     `stated` are the nodes that state the key themselves. That of [graph] is one process a host.
@@ -51,9 +53,8 @@ def check_processes(specs: Mapping[str, NodeSpec], stated: Collection[str], faul
             continue
         leader = leaders.setdefault(spec.process, spec)
         if spec.host != leader.host:
-            problem = (
-                f"{spec.process!r} is on {leader.host} ({leader.name}), this node on {spec.host}"
-            )
+            place = f"{leader.host} ({leader.name})"
+            problem = f"{spec.process!r} is on {place}, this node on {spec.host}"
             fault(("nodes", spec.name, "process"), problem)
 
     for leader, *followers in by_process(specs.values()):

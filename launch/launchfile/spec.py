@@ -57,7 +57,9 @@ class NodeSpec:
         changed = {key: v for key, v in values.items() if v != live[key]}
         return replace(
             self,
-            values={key: v for key, v in (self.values | changed).items() if v is not None},
+            values={
+                key: v for key, v in (self.values | changed).items() if v is not None
+            },
             settings=replace(self.settings, **changed),
         )
 
@@ -101,17 +103,25 @@ class LaunchFile:
         """
         names = ", ".join(self.hosts)
         if self.hosts and host is None:
-            raise LaunchError([f"{self.name}: several hosts: choose one with --host ({names})"])
+            raise LaunchError(
+                [f"{self.name}: several hosts: choose one with --host ({names})"]
+            )
         if host is not None and not self.hosts:
-            raise LaunchError([f"--host {host}: {self.name} has no tables [hosts.NAME]"])
+            raise LaunchError(
+                [f"--host {host}: {self.name} has no tables [hosts.NAME]"]
+            )
         if host is not None and host not in self.hosts:
             hint = did_you_mean(host, self.hosts)
             raise LaunchError([f"--host {host}: {self.name} has no such host{hint}"])
         host_name = host or ""
         credentials = self._credentials(host_name)
         # A recorder that was asked for on the command line is of this host, too.
-        nodes = {n: spec for n, spec in self.nodes.items() if spec.host in ("", host_name)}
-        links = [link for link in self.links if link.reader in nodes or link.writer in nodes]
+        nodes = {
+            n: spec for n, spec in self.nodes.items() if spec.host in ("", host_name)
+        }
+        links = [
+            link for link in self.links if link.reader in nodes or link.writer in nodes
+        ]
         elsewhere = {n: spec for n, spec in self.nodes.items() if n not in nodes}
         refused: dict[str, list[str]] = {}
         for spec in nodes.values():
@@ -120,7 +130,9 @@ class LaunchFile:
             except SettingsError as error:
                 refused.setdefault(str(error), []).append(spec.name)
         if refused:
-            raise LaunchError([f"{self.title}: {', '.join(n)}: {e}" for e, n in refused.items()])
+            raise LaunchError(
+                [f"{self.title}: {', '.join(n)}: {e}" for e, n in refused.items()]
+            )
         return replace(
             self,
             nodes=nodes,

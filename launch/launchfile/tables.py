@@ -15,14 +15,20 @@ Fault = Callable[[tuple[str, ...], str], None]
 
 
 def read_table(
-    table: object, place: tuple[str, ...], fault: Fault, *defaults: Settings, more: bool = False
+    table: object,
+    place: tuple[str, ...],
+    fault: Fault,
+    *defaults: Settings,
+    more: bool = False,
 ) -> tuple[list[Any], dict[str, Any]]:
     """The settings `defaults` with the values that a table states; with `more`, the values of other
     keys too, which are refused otherwise.
     """
     settings = list(defaults)
     index_of_key = {
-        field.name: index for index, default in enumerate(defaults) for field in fields(default)
+        field.name: index
+        for index, default in enumerate(defaults)
+        for field in fields(default)
     }
     of_other_keys: dict[str, Any] = {}
     if not isinstance(table, dict):

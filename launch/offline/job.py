@@ -118,7 +118,9 @@ def _run(job: Job, source: Path, out: Path, progress: bool) -> dict[str, Any]:
         launch = make_graph(job, bag, out)
     # Offline a frame is done when it was acquired.
     bus = Pipeline({n.name: (n.cls, n.settings) for n in launch.nodes.values()})
-    bar = tqdm(total=total, disable=not progress, unit="frame", desc=Path(job.source).name)
+    bar = tqdm(
+        total=total, disable=not progress, unit="frame", desc=Path(job.source).name
+    )
     with bar, closing(bus):
         for _ in bus.frames():
             bar.update()
@@ -150,7 +152,9 @@ def make_graph(job: Job, bag: BagReader, out: Path) -> LaunchFile:
         and not job.changes("compressor")
     )
     if measured and job.changes("compressor"):
-        raise SettingsError("--from measurements: the compressor cannot be changed then")
+        raise SettingsError(
+            "--from measurements: the compressor cannot be changed then"
+        )
     schemas = [SkinState.schema, Taxels.schema, Truth.schema]
     schemas += [Calibration.schema] if Calibration.schema in present else []
     schemas += [PhiState.schema, Measurements.schema] if measured else []
@@ -163,7 +167,11 @@ def make_graph(job: Job, bag: BagReader, out: Path) -> LaunchFile:
     if isinstance(recorded, SolverState) and not job.changes("reconstructor"):
         tables["reconstructor"] |= iterations_of(recorded)
     tables["monitor"] = {"type": "monitor", "patches": [patch]}
-    tables["recorder"] = {"type": "recorder", "out": str(out), "launch": origin_of(job, bag)}
+    tables["recorder"] = {
+        "type": "recorder",
+        "out": str(out),
+        "launch": origin_of(job, bag),
+    }
     return load_tables(f"reprocess {Path(job.source).name}", tables, job.overrides)
 
 

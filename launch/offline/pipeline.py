@@ -67,7 +67,9 @@ class Pipeline(Bus):
     def __init__(self, nodes: NodeSpecs) -> None:
         self._clock = ManualClock()
         self._clock_behind = ManualClock()
-        self._listeners = {name for name, (cls, s) in nodes.items() if not cls.outputs(s)}
+        self._listeners = {
+            name for name, (cls, s) in nodes.items() if not cls.outputs(s)
+        }
         self._behind: list[Delivery] = []
         self._stopped = threading.Event()
         self._acquired: Handover[list[Message]] = Handover(self._stopped)

@@ -142,11 +142,17 @@ class ControlServer:
         self._take = take
         self._describe = describe
         self._clients: list[Connection] = []
-        if is_served(Path(path)):  # a process of another container can have the same number
-            raise GraphError(f"{path}: a graph listens there; SPARSESKIN_RUNTIME_DIR names another")
+        if is_served(
+            Path(path)
+        ):  # a process of another container can have the same number
+            raise GraphError(
+                f"{path}: a graph listens there; SPARSESKIN_RUNTIME_DIR names another"
+            )
         self._socket = socket.socket(socket.AF_UNIX)
         try:
-            Path(path).unlink(missing_ok=True)  # left by a process that had the same number
+            Path(path).unlink(
+                missing_ok=True
+            )  # left by a process that had the same number
             self._socket.bind(path)
             os.chmod(path, 0o600)
         except OSError as error:
@@ -169,7 +175,9 @@ class ControlServer:
         """Send one object, which a newer one will replace, to all clients that watch and have read
         what was sent before.
         """
-        for client in [watcher for watcher in self._clients if watcher.watches and watcher.idle]:
+        for client in [
+            watcher for watcher in self._clients if watcher.watches and watcher.idle
+        ]:
             self._send(client, fields)
 
     def close(self) -> None:
@@ -208,7 +216,9 @@ class ControlServer:
                 self._send(client, {"stopping": True})
                 signal.raise_signal(signal.SIGINT)
             else:
-                self._take(request, lambda answer: self._send(client, {"answer": answer}))
+                self._take(
+                    request, lambda answer: self._send(client, {"answer": answer})
+                )
 
     def _send(self, client: Connection, fields: Mapping[str, Any]) -> None:
         if client in self._clients and not client.send(fields):
@@ -237,11 +247,15 @@ class LiveRecording:
         Raises RefusedError if it is not that, or a recording cannot begin or end just now.
         """
         if name != "record" or not isinstance(value, bool):
-            raise RefusedError(f"launch: {name}: expected the command 'record', true or false")
+            raise RefusedError(
+                f"launch: {name}: expected the command 'record', true or false"
+            )
         if self._say is not None:
             raise RefusedError("record: the last request is still being done")
         if value == (self.out is not None):
-            raise RefusedError(f"record: {'already on: ' + self.out if self.out else 'not on'}")
+            raise RefusedError(
+                f"record: {'already on: ' + self.out if self.out else 'not on'}"
+            )
         if value:
             self._begin()
         else:
@@ -257,13 +271,19 @@ class LiveRecording:
             self._done(True, f"recording to {out}")
         elif event in ("failed", "error", "died"):
             self.out = None
-            self._done(False, f"{out}: {node.refusal or 'cannot be recorded; see the log'}")
+            self._done(
+                False, f"{out}: {node.refusal or 'cannot be recorded; see the log'}"
+            )
         elif event == "ended":
             self.out = None
             recording = node.report.get("recording", {})
             fault = recording.get("error")
             n = recording.get("n_messages", 0)
-            came = f"{n} messages recorded" if n else "no message came, so there is no file"
+            came = (
+                f"{n} messages recorded"
+                if n
+                else "no message came, so there is no file"
+            )
             text = fault or f"{out}: {came}"
             self._done(not fault, text)
 

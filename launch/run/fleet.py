@@ -67,7 +67,9 @@ class Fleet:
         self._to_pause: set[str] = set()
         self._bound: dict[str, str] = {}
         self._page_token = secrets.token_urlsafe(24)
-        self.restarts = {name: Restarts(spec.restart) for name, spec in launch.nodes.items()}
+        self.restarts = {
+            name: Restarts(spec.restart) for name, spec in launch.nodes.items()
+        }
         self.nodes: dict[str, NodeProcess] = {}
         self.exit_code = self.late_code = 0
         self.left: dict[str, list[str]] = {}
@@ -81,7 +83,9 @@ class Fleet:
         self._public = keys.key_pair.public if keys else ""
         servers = keys.servers if keys else {}
         self._peers = {
-            name: Peer(name, spec.public, spec.host, servers.get(spec.host, self._public))
+            name: Peer(
+                name, spec.public, spec.host, servers.get(spec.host, self._public)
+            )
             for name, spec in launch.elsewhere.items()
         }
         for name, node in joined.nodes.items() if joined else ():
@@ -117,7 +121,9 @@ class Fleet:
     def connect(self, node: NodeProcess, distant: bool = False) -> None:
         """Send a node the endpoints of its writers on this host, or of those on other hosts."""
         writers = {link.writer for link in self._links if link.reader == node.name}
-        names = sorted(name for name in writers if (name in self._launch.elsewhere) == distant)
+        names = sorted(
+            name for name in writers if (name in self._launch.elsewhere) == distant
+        )
         if names or not distant:
             node.command("connect", peers=[asdict(self._peers[name]) for name in names])
 
@@ -167,7 +173,9 @@ class Fleet:
             self._close(node)
 
     def _listen_to_all(self) -> None:
-        for data in {id(key.data): key.data for key, _ in self._selector.select(POLL_S)}.values():
+        for data in {
+            id(key.data): key.data for key, _ in self._selector.select(POLL_S)
+        }.values():
             if isinstance(data, NodeProcess):
                 self._listen(data)
             else:
@@ -191,7 +199,11 @@ class Fleet:
         pid = self._joined.pid if self._joined else os.getpid()
         endpoint = self._bound.get(spec.name, "")
         if not endpoint:
-            endpoint = f"ipc://{socket_path(number)}" if launch.transport == "ipc" else ANY_PORT
+            endpoint = (
+                f"ipc://{socket_path(number)}"
+                if launch.transport == "ipc"
+                else ANY_PORT
+            )
         inputs = {link.topic: link.writer for link in links if link.reader == spec.name}
         readers = sorted({link.reader for link in links if link.writer == spec.name})
         return {
@@ -211,7 +223,9 @@ class Fleet:
             "page_file": page_path(number),
             "public": spec.public,
             "distant_readers": [
-                name for name in readers if name in elsewhere and not elsewhere[name].cls.observes
+                name
+                for name in readers
+                if name in elsewhere and not elsewhere[name].cls.observes
             ],
             "distant_inputs": {
                 topic: elsewhere[writer].host
@@ -224,7 +238,9 @@ class Fleet:
     def _companions(self, node: NodeProcess) -> list[NodeProcess]:
         """The nodes of the process of a node, itself included, whose streams have not ended."""
         return [
-            sharing for sharing in self if sharing.process is node.process and not sharing.ended
+            sharing
+            for sharing in self
+            if sharing.process is node.process and not sharing.ended
         ]
 
     def _start_again(self, dead: NodeProcess) -> None:
@@ -235,7 +251,9 @@ class Fleet:
         for node in nodes:
             self._close(node)
             restarts = self.restarts[node.name]
-            self._log(f"[launch] {node.name} is started again (restart {restarts.total})")
+            self._log(
+                f"[launch] {node.name} is started again (restart {restarts.total})"
+            )
             if node.state.get("paused"):
                 self._to_pause.add(node.name)
             specs.append(node.spec.with_live(node.settings).again(restarts.total))
@@ -268,12 +286,21 @@ class Fleet:
         if code is None:
             hang_s = node.spec.restart.hang_s
             if hang_s and not node.ready:
-                hang_s = max(hang_s, START_S)  # to import and to open a device takes its time
+                hang_s = max(
+                    hang_s, START_S
+                )  # to import and to open a device takes its time
             hung = bool(hang_s) and now_s - node.heard_s > hang_s
-            if self.supervised and hung and not node.ended and node.spec.restart.restarts:
+            if (
+                self.supervised
+                and hung
+                and not node.ended
+                and node.spec.restart.restarts
+            ):
                 nodes = self._companions(node)
                 have = "has" if len(nodes) == 1 else "have"
-                self._log(f"[launch] {_names(nodes)} {have} been silent for {hang_s:g} s: SIGKILL")
+                self._log(
+                    f"[launch] {_names(nodes)} {have} been silent for {hang_s:g} s: SIGKILL"
+                )
                 node.send_signal(signal.SIGKILL)
                 for companion in nodes:
                     companion.heard_s = now_s
@@ -284,7 +311,9 @@ class Fleet:
             self._listen(node)
             if not node.ended and self.restarts[node.name].due_s is None:
                 names = _names(self._companions(node))
-                self._died(node, EXIT_FAILED, f"{names} ended too early: {exit_text(code)}")
+                self._died(
+                    node, EXIT_FAILED, f"{names} ended too early: {exit_text(code)}"
+                )
 
     def _listen(self, node: NodeProcess) -> None:
         if node.closed:
@@ -304,8 +333,12 @@ class Fleet:
         match event["event"]:
             case "bound":
                 node.endpoint = self._bound[node.name] = event["endpoint"]
-                node.outputs = [t for t in node.spec.outputs if t not in event["unused"]]
-                self._peers[node.name] = Peer(node.name, node.endpoint, key=self._public)
+                node.outputs = [
+                    t for t in node.spec.outputs if t not in event["unused"]
+                ]
+                self._peers[node.name] = Peer(
+                    node.name, node.endpoint, key=self._public
+                )
                 if self.supervised:
                     self.connect(node)
             case "compiled":
@@ -362,7 +395,9 @@ class Fleet:
         line = f"[launch] {text}"
         if text.startswith("["):
             companions = [node for node in nodes if node is not failed]
-            line = text + (f" (of the same process: {_names(companions)})" if companions else "")
+            line = text + (
+                f" (of the same process: {_names(companions)})" if companions else ""
+            )
         if self.supervised and code != EXIT_USAGE:
             # The nodes of a process have one policy, and fail together.
             for node in nodes:

@@ -14,7 +14,14 @@ from sparseskin.nodes.errors import SparseskinError
 from .controls import Controls
 from .fleet import EXIT_FAILED, START_S, Fleet
 from .process import awake_s
-from .running import GraphError, RunningGraph, is_running, remove_files, remove_note, write_note
+from .running import (
+    GraphError,
+    RunningGraph,
+    is_running,
+    remove_files,
+    remove_note,
+    write_note,
+)
 from .state import hosts_state
 from .terminal import Terminal
 from .termination import TERMINATION
@@ -50,7 +57,9 @@ class Launcher:
         self._look_at_s = 0.0
         offset_ns = joined.offset_ns if joined else wall_offset_ns()
         self._starting = RunningGraph(launch.name, os.getpid(), offset_ns, "", {})
-        self._fleet = Fleet(launch, offset_ns, terminal.log, max_frames, joined, terminal.record)
+        self._fleet = Fleet(
+            launch, offset_ns, terminal.log, max_frames, joined, terminal.record
+        )
         self._controls: Controls | None = None
         self._late = LateLog(self._late_lines, terminal.log)
         writers = {link.writer for link in launch.links}
@@ -90,7 +99,9 @@ class Launcher:
             self._terminal.status("")
         for node in self._fleet:
             if n_errors := node.counts.get("errors", 0):
-                self._terminal.log(f"[launch] {node.name} raised {n_errors} errors (see its log)")
+                self._terminal.log(
+                    f"[launch] {node.name} raised {n_errors} errors (see its log)"
+                )
         return self._exit_code or self._fleet.late_code
 
     def _run(self) -> None:
@@ -122,7 +133,11 @@ class Launcher:
 
     def summary(self) -> dict[str, Any]:
         """Reports and counts of the nodes."""
-        merged: dict[str, Any] = {"launch": self._launch.name, "patches": {}, "nodes": {}}
+        merged: dict[str, Any] = {
+            "launch": self._launch.name,
+            "patches": {},
+            "nodes": {},
+        }
         if self._launch.host:
             merged["host"] = self._launch.host
             merged["hosts"] = hosts_state(self._launch, self._fleet)
@@ -135,7 +150,9 @@ class Launcher:
                 report["lines"] = [*report.get("lines", ()), *unfinished]
             if any(restarts.values()):
                 again = restarts[node.name] > 0
-                report |= node.spec.cls.totals(node.spec.settings, report, counts, again)
+                report |= node.spec.cls.totals(
+                    node.spec.settings, report, counts, again
+                )
             merged["patches"].update(report.pop("patches", {}))
             merged["nodes"][node.name] = {
                 **report,
@@ -200,10 +217,18 @@ class Launcher:
         """True if all have ended but those that wait for a node that is dead."""
         cut_off = {node.name for node in self._fleet if node.exit_code() is not None}
         # The sources of another host are not stopped from here.
-        cut_off |= {ln.reader for ln in self._launch.links if ln.writer in self._launch.elsewhere}
+        cut_off |= {
+            ln.reader
+            for ln in self._launch.links
+            if ln.writer in self._launch.elsewhere
+        }
         for _ in self._fleet:
-            cut_off |= {link.reader for link in self._launch.links if link.writer in cut_off}
-        return all(node.ended or node.failed or node.name in cut_off for node in self._fleet)
+            cut_off |= {
+                link.reader for link in self._launch.links if link.writer in cut_off
+            }
+        return all(
+            node.ended or node.failed or node.name in cut_off for node in self._fleet
+        )
 
     def _until(
         self, done: Callable[[], bool], limit_s: float | None, draining: bool = False
@@ -244,4 +269,6 @@ class Launcher:
         if not self._until(self._all_drained, DRAIN_S, draining=True):
             late = late_at_end(self._fleet, self._launch.links)
             if late and self._interrupts <= 1:
-                self._terminal.log(f"[launch] not drained after {DRAIN_S:g} s: {', '.join(late)}")
+                self._terminal.log(
+                    f"[launch] not drained after {DRAIN_S:g} s: {', '.join(late)}"
+                )

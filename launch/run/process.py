@@ -89,7 +89,9 @@ class NodePipes:
         self._log_of_node.close()
 
 
-def start_process(nodes: Sequence[tuple[NodeSpec, dict[str, Any]]]) -> list["NodeProcess"]:
+def start_process(
+    nodes: Sequence[tuple[NodeSpec, dict[str, Any]]],
+) -> list["NodeProcess"]:
     """Start one process for one node or several, each with the configuration that
     `sparseskin.nodes.process.run_node` expects.
 
@@ -107,7 +109,13 @@ def start_process(nodes: Sequence[tuple[NodeSpec, dict[str, Any]]]) -> list["Nod
             # -P: a file of the user's that is named like a standard module must not shadow it.
             # The names at the end are for whoever lists processes.
             process = subprocess.Popen(
-                [sys.executable, "-P", "-m", "sparseskin.nodes.process.run_node", *names],
+                [
+                    sys.executable,
+                    "-P",
+                    "-m",
+                    "sparseskin.nodes.process.run_node",
+                    *names,
+                ],
                 bufsize=0,
                 stdin=channel,
                 stdout=log,
@@ -117,10 +125,14 @@ def start_process(nodes: Sequence[tuple[NodeSpec, dict[str, Any]]]) -> list["Nod
                 pass_fds=[*tallies, *chain(*channels)],
             )
     except OSError as error:
-        raise SparseskinError(f"{', '.join(names)}: cannot be started: {error.strerror}") from error
+        raise SparseskinError(
+            f"{', '.join(names)}: cannot be started: {error.strerror}"
+        ) from error
     started = []
     for (spec, config), each in zip(nodes, pipes, strict=True):
-        of_process: dict[str, Any] = {"companions": [name for name in names if name != spec.name]}
+        of_process: dict[str, Any] = {
+            "companions": [name for name in names if name != spec.name]
+        }
         if each is pipes[0]:
             of_process["channels"] = channels
         started.append(NodeProcess(spec, {**config, **of_process}, process, each))
@@ -227,13 +239,17 @@ class NodeProcess:
         chunk = self._log.read(CHUNK_BYTES)
         if chunk == b"":
             self.closed_pipes.add(self._log)
-        log = self._lines.take(chunk or b"", awake_s(), at_end=self._log in self.closed_pipes)
+        log = self._lines.take(
+            chunk or b"", awake_s(), at_end=self._log in self.closed_pipes
+        )
         if log:
             self._said = log[-1]
             self._said_s = awake_s()
         if events:
             self.heard_s = awake_s()
-        return [_event(line.decode(errors="replace")) for line in events or () if line], log
+        return [
+            _event(line.decode(errors="replace")) for line in events or () if line
+        ], log
 
     def close(self) -> None:
         """Collect the process and close its pipes; what has not ended by now is killed."""
@@ -250,14 +266,18 @@ def _event(line: str) -> dict[str, Any]:
         event = json.loads(line)
     except json.JSONDecodeError:
         event = None
-    return event if isinstance(event, dict) else {"event": "garbage", "text": line[:200]}
+    return (
+        event if isinstance(event, dict) else {"event": "garbage", "text": line[:200]}
+    )
 
 
 def _added(first: Any, second: Any) -> Any:
     """Sums of counters that have the same keys."""
     if not isinstance(first, dict):
         return first + second
-    shared = {key: _added(first[key], second[key]) for key in first.keys() & second.keys()}
+    shared = {
+        key: _added(first[key], second[key]) for key in first.keys() & second.keys()
+    }
     return {**first, **second, **shared}
 
 

@@ -16,18 +16,33 @@ class RestartPolicy(Settings):
     """Supervision of a node: keys of [graph], for all nodes, and of [nodes.NAME]."""
 
     restart: str = setting(
-        NEVER, "on-failure: a node that dies or hangs is started again", choices=POLICIES
+        NEVER,
+        "on-failure: a node that dies or hangs is started again",
+        choices=POLICIES,
     )
     max_restarts: int = setting(
-        5, "most restarts within restart_window_s; one more failure ends it", low=1, high=1000
+        5,
+        "most restarts within restart_window_s; one more failure ends it",
+        low=1,
+        high=1000,
     )
-    restart_window_s: float = setting(60.0, "span of max_restarts, s", low=1.0, high=86400.0)
+    restart_window_s: float = setting(
+        60.0, "span of max_restarts, s", low=1.0, high=86400.0
+    )
     restart_delay_s: float = setting(
-        0.25, "wait before the first restart, s; each further one doubles it", low=0.0, high=60.0
+        0.25,
+        "wait before the first restart, s; each further one doubles it",
+        low=0.0,
+        high=60.0,
     )
-    restart_max_delay_s: float = setting(5.0, "most of that wait, s", low=0.0, high=3600.0)
+    restart_max_delay_s: float = setting(
+        5.0, "most of that wait, s", low=0.0, high=3600.0
+    )
     hang_s: float = setting(
-        10.0, "silence after which a node counts as hung, s; 0: never", low=0.0, high=3600.0
+        10.0,
+        "silence after which a node counts as hung, s; 0: never",
+        low=0.0,
+        high=3600.0,
     )
 
     @property

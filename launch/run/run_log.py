@@ -45,15 +45,23 @@ class RunLog:
         try:
             # Of this user alone: the address of the live page is logged with its token.
             self.folder.mkdir(mode=0o700, parents=True)
-            self._fd = os.open(self.folder, os.O_RDONLY | os.O_NOFOLLOW | os.O_DIRECTORY)
+            self._fd = os.open(
+                self.folder, os.O_RDONLY | os.O_NOFOLLOW | os.O_DIRECTORY
+            )
         except OSError as error:
             raise LaunchError([f"log_dir: {parent}: {error.strerror}"]) from error
         if os.fstat(self._fd).st_uid != os.geteuid():
-            raise LaunchError([f"log_dir: {parent}: another user changes what is in it"])
+            raise LaunchError(
+                [f"log_dir: {parent}: another user changes what is in it"]
+            )
         # Whoever may change `parent` can put a folder with links in the place of this one.
         self._opened = Path(f"/proc/self/fd/{self._fd}")
         with contextlib.suppress(OSError):  # another launcher removes them
-            runs = sorted(parent.iterdir(), key=lambda run: run.lstat().st_mtime) if n_kept else []
+            runs = (
+                sorted(parent.iterdir(), key=lambda run: run.lstat().st_mtime)
+                if n_kept
+                else []
+            )
             for run in runs[: len(runs) - n_kept]:
                 shutil.rmtree(run, ignore_errors=True)
 
@@ -67,7 +75,11 @@ class RunLog:
             if name not in self._files:
                 path = self._opened / f"{name}.log"
                 self._files[name] = _NodeFile(
-                    path, maxBytes=MAX_FILE_BYTES, backupCount=1, encoding="utf-8", errors="replace"
+                    path,
+                    maxBytes=MAX_FILE_BYTES,
+                    backupCount=1,
+                    encoding="utf-8",
+                    errors="replace",
                 )
             self._files[name].emit(logging.makeLogRecord({"msg": text}))
         except OSError as error:

@@ -77,7 +77,9 @@ class RunningGraph:
 
     def writers(self) -> dict[str, str]:
         """Name of the node that writes each topic."""
-        return {topic: name for name, node in self.nodes.items() for topic in node.outputs}
+        return {
+            topic: name for name, node in self.nodes.items() for topic in node.outputs
+        }
 
 
 def runtime_folder() -> Path:
@@ -156,7 +158,9 @@ def running_graphs(starting: bool = False) -> list[RunningGraph]:
     # A node that was still starting as its launcher was killed makes files after the note is gone.
     noted = {path.stem.rpartition("-")[2] for path in folder.glob("*.json")}
     with contextlib.suppress(OSError):
-        for number in {path.name.partition(".")[0] for path in folder.iterdir()} - noted:
+        for number in {
+            path.name.partition(".")[0] for path in folder.iterdir()
+        } - noted:
             if number.isdecimal() and not os.path.exists(f"/proc/{number}"):
                 remove_files(int(number))
     return [graph for graph in graphs if starting or not graph.starting]
@@ -216,14 +220,20 @@ def choose_graph(name: str | None, option: str = "--graph") -> RunningGraph:
         now_s = time.monotonic()
         if given_up_s is None:
             given_up_s = now_s + PATIENCE_S
-            print(f"{label}: is starting; waiting until it runs", file=sys.stderr, flush=True)
+            print(
+                f"{label}: is starting; waiting until it runs",
+                file=sys.stderr,
+                flush=True,
+            )
         elif now_s >= given_up_s:
             why = f"is still starting after {PATIENCE_S:g} s; its terminal shows what it waits for"
             raise GraphError(f"{label}: {why}")
         time.sleep(POLL_S)
     labels = [graph.label for graph in graphs if not graph.starting]
     if not labels:
-        raise GraphError("no graph runs on this host (start one: sparseskin launch NAME)")
+        raise GraphError(
+            "no graph runs on this host (start one: sparseskin launch NAME)"
+        )
     if not matching:
         hint = did_you_mean(str(name), labels)
         raise GraphError(f"{option} {name}: no such graph runs{hint}".strip())

@@ -13,7 +13,9 @@ from .fleet import Fleet
 from .process import NodeProcess
 
 
-def graph_state(launch: LaunchFile, fleet: Fleet, recording: str | None) -> dict[str, Any]:
+def graph_state(
+    launch: LaunchFile, fleet: Fleet, recording: str | None
+) -> dict[str, Any]:
     """The state of a graph, as it is published to all that watch it; `recording` is the file that
     is recorded on request, if any.
     """
@@ -40,7 +42,9 @@ def graph_description(
     }
 
 
-def _nodes(fleet: Fleet, more: Callable[[NodeProcess], dict[str, Any]]) -> list[dict[str, Any]]:
+def _nodes(
+    fleet: Fleet, more: Callable[[NodeProcess], dict[str, Any]]
+) -> list[dict[str, Any]]:
     """Each node, without live recorders that have ended, and more of it."""
     return [
         {
@@ -79,7 +83,9 @@ def _in_full(node: NodeProcess, with_settings: bool) -> dict[str, Any]:
     counts = node.counts
 
     def counted(topic: str, **keys: str) -> dict[str, Any]:
-        numbers = {name: counts.get(key, {}).get(topic, 0) for name, key in keys.items()}
+        numbers = {
+            name: counts.get(key, {}).get(topic, 0) for name, key in keys.items()
+        }
         return {"topic": topic, "latched": is_latched(topic), **numbers}
 
     described: dict[str, Any] = {
@@ -95,7 +101,10 @@ def _in_full(node: NodeProcess, with_settings: bool) -> dict[str, Any]:
     }
     if with_settings:
         stated = {**vars(node.spec.settings), **node.settings}
-        in_force = {**stated, **{k: v for k, v in node.state.items() if stated.get(k) is None}}
+        in_force = {
+            **stated,
+            **{k: v for k, v in node.state.items() if stated.get(k) is None},
+        }
         described["settings"] = [
             {**entry, "value": stated[entry["key"]], "in_force": in_force[entry["key"]]}
             for entry in node.spec.cls.Settings.described()
@@ -103,14 +112,21 @@ def _in_full(node: NodeProcess, with_settings: bool) -> dict[str, Any]:
     return described
 
 
-def hosts_state(launch: LaunchFile, nodes: Iterable[NodeProcess]) -> dict[str, dict[str, Any]]:
+def hosts_state(
+    launch: LaunchFile, nodes: Iterable[NodeProcess]
+) -> dict[str, dict[str, Any]]:
     """State of the other hosts of a graph by name, as far as the nodes of this one know: heard
     (None where no node here reads from one there), silent (names of the nodes that should send and
     do not), clock_offset_ms and clock_uncertainty_ms (None while unknown; the clock there is ahead
     by the offset, within the uncertainty).
     """
     states: dict[str, dict[str, Any]] = {
-        name: {"heard": None, "silent": [], "clock_offset_ms": None, "clock_uncertainty_ms": None}
+        name: {
+            "heard": None,
+            "silent": [],
+            "clock_offset_ms": None,
+            "clock_uncertainty_ms": None,
+        }
         for name in launch.hosts
         if name != launch.host
     }

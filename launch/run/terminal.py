@@ -54,7 +54,9 @@ class Terminal:
         if self._run_log is not None and not self._run_log.error:
             self._run_log.write(printable(line), now_s)
             if self._run_log.error:
-                self._write(f"{time_text(now_s)} [launch] no more logs: {self._run_log.error}\n")
+                self._write(
+                    f"{time_text(now_s)} [launch] no more logs: {self._run_log.error}\n"
+                )
 
     def status(self, line: str) -> None:
         """Renew the status line, or lines, where the text has changed."""
@@ -88,7 +90,10 @@ class Terminal:
         if self._keys_fd is None or not select.select([self._keys_fd], [], [], 0)[0]:
             return []
         text = os.read(self._keys_fd, 64).decode(errors="replace")
-        return [ARROWS.get(key, key) for key in re.findall(r"\x1b\[[A-D]|.", text, re.DOTALL)]
+        return [
+            ARROWS.get(key, key)
+            for key in re.findall(r"\x1b\[[A-D]|.", text, re.DOTALL)
+        ]
 
     def _erase(self) -> None:
         if self._live and self._status:
@@ -98,7 +103,9 @@ class Terminal:
     def _draw(self) -> None:
         if self._live and self._status:
             size = shutil.get_terminal_size()
-            lines = [_fitted(line, size.columns - 1) for line in self._status.split("\n")]
+            lines = [
+                _fitted(line, size.columns - 1) for line in self._status.split("\n")
+            ]
             lines = lines[: size.lines - 1]
             self._n_drawn = len(lines)
             self._write("\n".join(lines))

@@ -52,8 +52,12 @@ def late_at_end(nodes: Iterable[NodeProcess], links: Sequence[Link]) -> list[str
     late = [node.name for node in nodes if not node.ended]
     lines = []
     for name in late:
-        writers = sorted({ln.writer for ln in links if ln.reader == name and ln.writer in late})
-        why = f"waits for {', '.join(writers)}" if writers else "has not ended its stream"
+        writers = sorted(
+            {ln.writer for ln in links if ln.reader == name and ln.writer in late}
+        )
+        why = (
+            f"waits for {', '.join(writers)}" if writers else "has not ended its stream"
+        )
         lines.append(f"{name} ({why})")
     return lines
 

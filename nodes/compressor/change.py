@@ -218,7 +218,9 @@ class NoiseBounds:
         variances = np.square(self._noise.sigma(reference)) * self._exists
         untouched = np.zeros(reference.shape, dtype=np.bool_)
         if self._clips:
-            variances *= np.interp(reference / self._end, _MEANS, _VARIANCES).astype(np.float32)
+            variances *= np.interp(reference / self._end, _MEANS, _VARIANCES).astype(
+                np.float32
+            )
             untouched = self._exists & (reference < _MEANS[-1] * self._end)
 
         sums = self.squares.sums(variances)
@@ -230,10 +232,14 @@ class NoiseBounds:
         n_touched = np.count_nonzero(self._exists) - n_untouched
         pairs = zip(n_touched.tolist(), n_untouched.tolist(), strict=True)
         energy = np.array([energy_bound(*pair, self._z_energy) for pair in pairs])
-        weights = np.divide(1, variances, out=np.zeros_like(variances), where=variances > 0)
+        weights = np.divide(
+            1, variances, out=np.zeros_like(variances), where=variances > 0
+        )
         return Bounds(frame, block, weights, energy)
 
-    def _limits(self, variances: Floats, untouched: Floats, excess: list[float]) -> Floats:
+    def _limits(
+        self, variances: Floats, untouched: Floats, excess: list[float]
+    ) -> Floats:
         """Bounds of sums: (k, n), of sums of the variances and numbers of untouched taxels."""
         wide = variances.copy()
         for span, of_level in zip(self.squares.spans, excess, strict=True):
@@ -329,12 +335,17 @@ class ChangeWatch:
         departs: Mask = (by_sums | by_energy) & ~self.sending
         return departs
 
-    def _exceed(self, patches: Indices, differences: Floats, variances: Doubles) -> Mask:
+    def _exceed(
+        self, patches: Indices, differences: Floats, variances: Doubles
+    ) -> Mask:
         """True where the difference of two means, of a variance in that of a reading, is no noise:
         of some patches, (k, n_rows, n_cols) and (k,) to bool (k,).
         """
         sums = self._bounds.squares.sums(differences)
-        limits = self._of.block[patches] * np.sqrt(variances).astype(np.float32)[:, np.newaxis]
+        limits = (
+            self._of.block[patches]
+            * np.sqrt(variances).astype(np.float32)[:, np.newaxis]
+        )
         exceed: Mask = np.logical_or.reduce(np.abs(sums, out=sums) > limits, axis=1)
         return exceed
 
@@ -367,7 +378,9 @@ class ChangeWatch:
         """End a block of some patches that was not sent: it joins the reference, or the patch is
         sent from this frame on. Returns the patches that are.
         """
-        differences = self._total[patches] / np.float32(BLOCK) - self._reference[patches]
+        differences = (
+            self._total[patches] / np.float32(BLOCK) - self._reference[patches]
+        )
         n = self._n[patches]
         self._total[patches] = 0.0
         self._k[patches] = 0
@@ -382,6 +395,8 @@ class ChangeWatch:
         joins = np.logical_not(exceed)
         joins &= n < LEARNT * self.length
         share = (BLOCK / (n[joins] + BLOCK)).astype(np.float32)
-        self._reference[patches[joins]] += differences[joins] * share[:, np.newaxis, np.newaxis]
+        self._reference[patches[joins]] += (
+            differences[joins] * share[:, np.newaxis, np.newaxis]
+        )
         self._n[patches[joins]] += BLOCK
         return begin

@@ -8,7 +8,14 @@ from typing import Any, Self
 
 import numpy as np
 
-from sparseskin.messages import Measurements, Message, PhiState, SkinState, Taxels, topic_of
+from sparseskin.messages import (
+    Measurements,
+    Message,
+    PhiState,
+    SkinState,
+    Taxels,
+    topic_of,
+)
 from sparseskin.messages.skin import Skin
 from sparseskin.nodes.compressor.phi.base import (
     KINDS,
@@ -77,7 +84,11 @@ class CompressorSettings(PatchesSettings):
         live=True,
     )
     m: int | None = setting(
-        None, "number of measurements M, in place of ratio", low=1, high=2**20, live=True
+        None,
+        "number of measurements M, in place of ratio",
+        low=1,
+        high=2**20,
+        live=True,
     )
     bits: int | None = setting(
         None, "bits of a measurement; float32 if not stated", low=4, high=16, live=True
@@ -112,16 +123,24 @@ class CompressorSettings(PatchesSettings):
     def __post_init__(self) -> None:
         super().__post_init__()
         if self.n_patches > 1 and self.bits is not None:
-            raise SettingsError("bits: are not available for several patches; leave them out")
+            raise SettingsError(
+                "bits: are not available for several patches; leave them out"
+            )
 
     def check(self) -> None:
         if self.block is not None and self.block & (self.block - 1):
-            raise SettingsError(f"block: {self.block} is not a power of two (1, 2, 4 ...)")
+            raise SettingsError(
+                f"block: {self.block} is not a power of two (1, 2, 4 ...)"
+            )
         with naming("phi"):
             made_by = phi_class(self.phi)
         if self.n_patches > 1 and phi_fact(made_by, "choice"):
-            allowed = "allowed for several patches: a Phi that all patches share, as sbhe"
-            raise SettingsError(f"phi: {self.phi} chooses other rows for each patch; {allowed}")
+            allowed = (
+                "allowed for several patches: a Phi that all patches share, as sbhe"
+            )
+            raise SettingsError(
+                f"phi: {self.phi} chooses other rows for each patch; {allowed}"
+            )
         # A function that makes a Phi shows its rows only once it is called.
         if self.rows == ROTATING and isinstance(made_by, type):
             check_rotates(made_by, self.phi)
@@ -166,7 +185,9 @@ class CompressorSettings(PatchesSettings):
             return self.block or PAPER_BLOCK, RANDOM
         return block_of(self.phi, self.block), SUMS
 
-    def phis(self, skin: Skin, sigma_end: float = 0.0, clips_noise: bool = True) -> list[Phi]:
+    def phis(
+        self, skin: Skin, sigma_end: float = 0.0, clips_noise: bool = True
+    ) -> list[Phi]:
         """Return the matrices that measure frames of a skin in turn: one where rows are fixed.
 
         `sigma_end` and `clips_noise` state the skin's noise, as in `SkinState`.
@@ -238,18 +259,24 @@ class Compressor(Node[CompressorSettings]):
 
     @classmethod
     def inputs(cls, settings: CompressorSettings) -> tuple[str, ...]:
-        return tuple(topic_of(settings.patch, cls.schema) for cls in (SkinState, Taxels))
+        return tuple(
+            topic_of(settings.patch, cls.schema) for cls in (SkinState, Taxels)
+        )
 
     @classmethod
     def outputs(cls, settings: CompressorSettings) -> tuple[str, ...]:
-        return tuple(topic_of(settings.patch, cls.schema) for cls in (PhiState, Measurements))
+        return tuple(
+            topic_of(settings.patch, cls.schema) for cls in (PhiState, Measurements)
+        )
 
     @classmethod
     def facts(cls, settings: CompressorSettings) -> Mapping[str, Any]:
         return {topic_of(settings.patch, PhiState.schema): settings.phi}
 
     @classmethod
-    def check_inputs(cls, settings: CompressorSettings, facts: Mapping[str, Any]) -> None:
+    def check_inputs(
+        cls, settings: CompressorSettings, facts: Mapping[str, Any]
+    ) -> None:
         n = facts.get(topic_of(settings.patch, SkinState.schema))
         if n is None:
             return
@@ -283,14 +310,18 @@ class Compressor(Node[CompressorSettings]):
         unsent = self._silence.end()
         if unsent is not None:
             phi = self._subsets[self._subset - 1]
-            yield self._compress(unsent, phi, np.ones(self.settings.n_patches, dtype=np.bool_))
+            yield self._compress(
+                unsent, phi, np.ones(self.settings.n_patches, dtype=np.bool_)
+            )
 
     def change(self, settings: CompressorSettings) -> Iterable[Message]:
         old_settings = self.settings
         self.settings = settings
         if self._state is None:
             return ()
-        is_same_phi = replace(settings, bits=old_settings.bits, quiet=old_settings.quiet)
+        is_same_phi = replace(
+            settings, bits=old_settings.bits, quiet=old_settings.quiet
+        )
         if is_same_phi == old_settings and self._subsets:
             self._warn(self._subsets[0])
             if settings.quiet != old_settings.quiet:
@@ -373,7 +404,9 @@ class Compressor(Node[CompressorSettings]):
 
     def _warn(self, phi: Phi) -> None:
         settings = self.settings
-        warnings = compression_warnings(settings.phi, phi.n, phi.m, phi.block, settings.bits)
+        warnings = compression_warnings(
+            settings.phi, phi.n, phi.m, phi.block, settings.bits
+        )
         for warning in warnings:
             self.context.log(warning)
 
@@ -382,7 +415,9 @@ class Compressor(Node[CompressorSettings]):
         if self._state is None:
             raise RefusedError(f"{taxels.topic}: the skin is not known yet")
         if taxels.names != self.settings.patches:
-            raise RefusedError(f"{taxels.topic}: of other patches than this node serves")
+            raise RefusedError(
+                f"{taxels.topic}: of other patches than this node serves"
+            )
 
         skin_shape = (self._state.n_rows, self._state.n_cols)
         frame_shape = taxels.forces.shape[1:]

@@ -231,7 +231,9 @@ class PatchMetrics:
             case SkinState():
                 self._note_changes(self.skin, message, "sigma_mid")
                 self.skin = message
-                self._sensed_schema = (Taxels if message.has_taxels else Measurements).schema
+                self._sensed_schema = (
+                    Taxels if message.has_taxels else Measurements
+                ).schema
             case PhiState():
                 self._note_changes(self.phi, message, "kind", "m", "rows")
                 self.phi = message
@@ -300,7 +302,9 @@ class PatchMetrics:
         self._previous = message
         if not n_quiet or previous is None or self.skin is None:
             return
-        between = [ns for ns in self._pending if previous.stamp_ns < ns < message.stamp_ns]
+        between = [
+            ns for ns in self._pending if previous.stamp_ns < ns < message.stamp_ns
+        ]
         # Of a long silence the first ones were dropped.
         self.unpaired -= min(self.unpaired, max(0, n_quiet - len(between)))
         if len(between) > n_quiet:
@@ -321,12 +325,16 @@ class PatchMetrics:
 
         if acquired is not reconstructed:
             uncertainty_ns = acquired.uncertainty_ns + reconstructed.uncertainty_ns
-            self.latency_uncertainty_ns = max(self.latency_uncertainty_ns, uncertainty_ns)
+            self.latency_uncertainty_ns = max(
+                self.latency_uncertainty_ns, uncertainty_ns
+            )
         # The stamps are by two clocks, where the nodes are on two hosts.
         ahead_ns = reconstructed.offset_ns - acquired.offset_ns
         return message.done_ns - message.stamp_ns - ahead_ns
 
-    def _note_changes(self, before: Message | None, after: Message, *names: str) -> None:
+    def _note_changes(
+        self, before: Message | None, after: Message, *names: str
+    ) -> None:
         for name in names:
             self._note_change(name, getattr(before, name, None), getattr(after, name))
 
@@ -335,7 +343,12 @@ class PatchMetrics:
         if not self.reconstructed or len(self.changes) >= MAX_CHANGES:
             return
         if old != new and old not in (None, "") and new != "":
-            change = {"frame": self.reconstructed, "setting": name, "from": old, "to": new}
+            change = {
+                "frame": self.reconstructed,
+                "setting": name,
+                "from": old,
+                "to": new,
+            }
             self.changes.append(change)
 
     def end(self, schema: str, n_messages: int) -> None:
@@ -438,7 +451,9 @@ class PatchMetrics:
         summary = {
             "scene": getattr(self.skin, "source", None),
             "phi": getattr(phi, "kind", None),
-            **_fields(self.solver, "basis", "solver", "preset", "iterations", "max_iterations"),
+            **_fields(
+                self.solver, "basis", "solver", "preset", "iterations", "max_iterations"
+            ),
             **_fields(self.solver, "frame_ms"),
             **_fields(phi, "rows", "n", "m"),
             **_fields(self.skin, "f_min", "f_max", "unit"),

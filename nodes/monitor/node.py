@@ -29,7 +29,13 @@ from sparseskin.nodes.clock import ClockEstimate
 from sparseskin.nodes.errors import RefusedError, SettingsError
 from sparseskin.nodes.lookup import did_you_mean
 from sparseskin.nodes.node import Context, Node
-from sparseskin.nodes.settings import Settings, check_patch, check_patches, naming, setting
+from sparseskin.nodes.settings import (
+    Settings,
+    check_patch,
+    check_patches,
+    naming,
+    setting,
+)
 
 from .metrics import PatchMetrics
 from .table import FEW, status_line
@@ -52,21 +58,25 @@ class MonitorSettings(Settings):
 
     patches: tuple[str, ...] = setting(("skin",), "names of the patches to watch")
     batches: dict[str, Any] | None = setting(
-        None, "a table of the batches to watch: the names of the patches of each, by its name"
+        None,
+        "a table of the batches to watch: the names of the patches of each, by its name",
     )
     poses: dict[str, Any] | None = setting(
         None,
         "a table of the pose of each patch on the page, by its name: x, y, z of its middle in mm, "
         "roll, pitch, yaw in degrees",
     )
-    page: bool = setting(True, "serve a live page on 127.0.0.1, where the graph has a launcher")
+    page: bool = setting(
+        True, "serve a live page on 127.0.0.1, where the graph has a launcher"
+    )
     port: int = setting(
         8470, "port of the page; a free one where it is busy, or 0", low=0, high=65535
     )
     token: bool = setting(True, "ask for the random token in the address of the page")
     browser: bool = setting(False, "open the page in a browser")
     screen: bool = setting(
-        False, "update a full screen of text in the terminal, in place of one status line"
+        False,
+        "update a full screen of text in the terminal, in place of one status line",
     )
 
     def __post_init__(self) -> None:
@@ -82,7 +92,9 @@ class MonitorSettings(Settings):
         all_patches = self.all_patches
         for patch, pose in (self.poses or {}).items():
             if patch not in all_patches:
-                raise SettingsError(f"poses.{patch}: no patch{did_you_mean(patch, all_patches)}")
+                raise SettingsError(
+                    f"poses.{patch}: no patch{did_you_mean(patch, all_patches)}"
+                )
             check_pose(f"poses.{patch}", pose)
         # Messages of a patch could not be told apart.
         if len(set(all_patches)) < len(all_patches):
@@ -196,7 +208,9 @@ class Monitor(Node[MonitorSettings]):
             line += f" (port {port} is taken)"
         self.context.log(line)
         if self.settings.browser and not self._open_browser(self._page.url):
-            self.context.log("no browser could be opened here; open the address yourself")
+            self.context.log(
+                "no browser could be opened here; open the address yourself"
+            )
 
     def step(self, message: Message) -> Iterable[Message]:
         if isinstance(message, Frames):
@@ -287,13 +301,19 @@ class Monitor(Node[MonitorSettings]):
         return "\n".join(lines)
 
     def report(self) -> dict[str, Any]:
-        return {"patches": {name: metrics.summary() for name, metrics in self._patches.items()}}
+        return {
+            "patches": {
+                name: metrics.summary() for name, metrics in self._patches.items()
+            }
+        }
 
     def _open_browser(self, url: str) -> bool:
         import webbrowser
 
         # Without a display a text browser would occupy the terminal of the graph.
-        has_display = any(os.environ.get(name) for name in ("DISPLAY", "WAYLAND_DISPLAY"))
+        has_display = any(
+            os.environ.get(name) for name in ("DISPLAY", "WAYLAND_DISPLAY")
+        )
         if not has_display or not self.context.page_file:
             return False
 
@@ -348,9 +368,13 @@ def _published_frames(
     return published
 
 
-def _topics(settings: MonitorSettings, classes: tuple[type[Message], ...]) -> tuple[str, ...]:
+def _topics(
+    settings: MonitorSettings, classes: tuple[type[Message], ...]
+) -> tuple[str, ...]:
     """Topics of all patches and batches, of some classes of messages."""
-    return tuple(topic_of(group, cls.schema) for group in settings.groups for cls in classes)
+    return tuple(
+        topic_of(group, cls.schema) for group in settings.groups for cls in classes
+    )
 
 
 def _clock_of(context: Context, group: str, topic: str) -> ClockEstimate | None:

@@ -69,7 +69,9 @@ def _progress(patches: Mapping[str, PatchMetrics], rate_hz: float) -> str:
     if len(metrics) > 1:
         name = f"{len(metrics)} patches"
         # One rate stands for all: patches of a graph are sensed together.
-        asked_hz = max((m.skin.rate_hz for m in metrics if m.skin is not None), default=0.0)
+        asked_hz = max(
+            (m.skin.rate_hz for m in metrics if m.skin is not None), default=0.0
+        )
         if asked_hz:
             rate = f"{rate_hz:.0f} of {asked_hz:g} Hz"
         rate += f", skipped {max(m.skipped for m in metrics)}"
@@ -84,7 +86,9 @@ def _progress(patches: Mapping[str, PatchMetrics], rate_hz: float) -> str:
 
 def _accuracy(patches: Sequence[PatchMetrics], to_what: str) -> Iterator[str]:
     """Mean PSNR of contact frames and the share that the solver trusts, where there are any."""
-    psnr_db = [m.reconstruction.contact.mean for m in patches if m.reconstruction.contact.count]
+    psnr_db = [
+        m.reconstruction.contact.mean for m in patches if m.reconstruction.contact.count
+    ]
     if psnr_db:
         yield f"PSNR{to_what} {sum(psnr_db) / len(psnr_db):.1f} dB"
     trust = [m.trust.contact for m in patches if m.trust.contact.count]

@@ -139,7 +139,9 @@ class Gate:
             self._pending[value] = address
             if len(self._pending) > MAX_PENDING:
                 self._close_one()
-        elif event == zmq.EVENT_ACCEPT_FAILED and self._pending:  # no descriptor is free
+        elif (
+            event == zmq.EVENT_ACCEPT_FAILED and self._pending
+        ):  # no descriptor is free
             self._close_one()
         elif event in _FAILED:
             self._failure = _reason(event, value)

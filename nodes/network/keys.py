@@ -59,7 +59,12 @@ def make_key_files(name: str, folder: Path) -> tuple[Path, Path]:
     public, secret = (key.decode() for key in zmq.curve_keypair())
     try:
         folder.mkdir(mode=0o700, parents=True, exist_ok=True)
-        _write(secret_file, SECRET_MODE, f"# the secret key of {name}: for this host alone", secret)
+        _write(
+            secret_file,
+            SECRET_MODE,
+            f"# the secret key of {name}: for this host alone",
+            secret,
+        )
         _write(public_file, 0o644, f"# the public key of {name}: for its peers", public)
     except OSError as error:
         raise KeyFileError(f"{error.filename or folder}: {error.strerror}") from error
@@ -154,5 +159,7 @@ def _key_in(path: Path, check: Callable[[os.stat_result], None]) -> str:
     stripped = map(str.strip, lines)
     keys = [line for line in stripped if line and not line.startswith("# ")]
     if len(keys) != 1 or len(keys[0]) != KEY_CHARACTERS or not _Z85.fullmatch(keys[0]):
-        raise KeyFileError(f"{path}: expected one key of {KEY_CHARACTERS} characters in it")
+        raise KeyFileError(
+            f"{path}: expected one key of {KEY_CHARACTERS} characters in it"
+        )
     return keys[0]

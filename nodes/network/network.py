@@ -125,7 +125,9 @@ class Network:
         name = self._name
         keys = self._keys
 
-        self._reader = Reader(self._context, name, (), topics, keys=keys, observes=observes)
+        self._reader = Reader(
+            self._context, name, (), topics, keys=keys, observes=observes
+        )
         self.poller.register(self._reader.socket, zmq.POLLIN)
         if keys is not None or self._distant_inputs:
             self._monitor = self._reader.socket.get_monitor_socket()
@@ -164,7 +166,9 @@ class Network:
                 self._retry_ns[endpoint] = now_ns + RETRY_NS
                 self._log_refusal(peer, _REFUSED[event])
 
-        due = [endpoint for endpoint, due_ns in self._retry_ns.items() if due_ns <= now_ns]
+        due = [
+            endpoint for endpoint, due_ns in self._retry_ns.items() if due_ns <= now_ns
+        ]
         for endpoint in due:
             del self._retry_ns[endpoint]
             # ZeroMQ does not connect again by itself after a refused handshake.
@@ -226,7 +230,9 @@ class Network:
         if (peer.endpoint, reason) not in self._logged:
             self._logged.add((peer.endpoint, reason))
             where = f" on {peer.host}" if peer.host else ""
-            self._log(f"cannot connect to {peer.writer}{where} ({peer.endpoint}): {reason}")
+            self._log(
+                f"cannot connect to {peer.writer}{where} ({peer.endpoint}): {reason}"
+            )
 
     def end_repeated(self) -> None:
         """Ask which readers have the end of the streams, after it was published once more."""
@@ -251,7 +257,9 @@ class Network:
 
         if self._distant_readers and now_ns >= self._end_due_ns:
             names = ", ".join(sorted(self._distant_readers))
-            self._log(f"the end was not received within {END_RECEIVED_NS // 10**9} s by {names}")
+            self._log(
+                f"the end was not received within {END_RECEIVED_NS // 10**9} s by {names}"
+            )
             self._distant_readers.clear()
         return not self._distant_readers
 

@@ -132,14 +132,20 @@ class Writer:
         log: Callable[[str], None] = lambda line: None,
     ) -> None:
         self.socket: zmq.Socket[bytes] = context.socket(zmq.XPUB)
-        options = {zmq.XPUB_VERBOSE: 1, zmq.SNDHWM: QUEUE_FRAMES, zmq.MAXMSGSIZE: MAX_NOTE_BYTES}
+        options = {
+            zmq.XPUB_VERBOSE: 1,
+            zmq.SNDHWM: QUEUE_FRAMES,
+            zmq.MAXMSGSIZE: MAX_NOTE_BYTES,
+        }
         _set_options(self.socket, options)
 
         self._gate = gate
         if gate is not None:
             gate.guard(self.socket)
         # Unlike all others, a bind to the path of a file replaces the one who listens there.
-        if endpoint.startswith("ipc:///") and is_served(Path(endpoint.removeprefix("ipc://"))):
+        if endpoint.startswith("ipc:///") and is_served(
+            Path(endpoint.removeprefix("ipc://"))
+        ):
             raise zmq.ZMQError(zmq.EADDRINUSE)
         self.socket.bind(endpoint)
         self.endpoint = self.socket.getsockopt(zmq.LAST_ENDPOINT).rstrip(b"\0").decode()
@@ -190,7 +196,9 @@ class Writer:
                 return
             frame = self.socket.recv(copy=False)
             if self._gate is not None:
-                with contextlib.suppress(zmq.ZMQError):  # by no connection, in a process
+                with contextlib.suppress(
+                    zmq.ZMQError
+                ):  # by no connection, in a process
                     self._gate.subscribed(frame.get(zmq.SRCFD))
 
             joins = frame.bytes[:1] == JOINS
@@ -199,7 +207,10 @@ class Writer:
             if topic.startswith(PRESENCE):
                 self._note_presence(topic[1:].decode(errors="replace"), joins)
             elif joins:
-                if topic not in self._prefixes and len(self._prefixes) < MAX_SUBSCRIPTIONS:
+                if (
+                    topic not in self._prefixes
+                    and len(self._prefixes) < MAX_SUBSCRIPTIONS
+                ):
                     self._prefixes.add(topic)
                     self._is_wanted.clear()
                 # A reader that comes late gets the state that holds.
@@ -212,7 +223,9 @@ class Writer:
         else:
             self._n_subscriptions = max(0, self._n_subscriptions - 1)
         if self._n_subscriptions > MAX_SUBSCRIPTIONS:
-            text = f"more than {MAX_SUBSCRIPTIONS} subscriptions: some reader misbehaves"
+            text = (
+                f"more than {MAX_SUBSCRIPTIONS} subscriptions: some reader misbehaves"
+            )
             self._log_once(text)
 
     def _wants(self, topic: str) -> bool:
@@ -258,7 +271,9 @@ class Writer:
             if joins:
                 self._note_answer(reader, answer)
         elif joins and len(self.present) >= MAX_READERS:
-            self._log_once(f"more than {MAX_READERS} readers: frames wait for these only")
+            self._log_once(
+                f"more than {MAX_READERS} readers: frames wait for these only"
+            )
         else:
             self._note_reader(reader, joins)
 
@@ -340,7 +355,9 @@ class Reader:
         for endpoint in endpoints:
             self.connect(endpoint)
 
-    def connect(self, endpoint: str, server_key: str = "", distant: bool = False) -> None:
+    def connect(
+        self, endpoint: str, server_key: str = "", distant: bool = False
+    ) -> None:
         """Connect to one more writer, with its public key if it needs keys.
 
         The link to a distant one, on another host, can break.
@@ -373,7 +390,9 @@ class Reader:
         """True if a message waits."""
         return bool(self._queue) or bool(self.socket.getsockopt(_EVENTS) & _POLLIN)  # type: ignore[operator]
 
-    def take(self, depth: int, streams: Container[bytes]) -> tuple[bytes, Payload, bool] | None:
+    def take(
+        self, depth: int, streams: Container[bytes]
+    ) -> tuple[bytes, Payload, bool] | None:
         """Next waiting topic and payload, and True if `depth` newer ones of its stream, one of
         `streams`, overtake it (0: none does); or None.
 
@@ -437,7 +456,9 @@ class Reader:
 
 def read_times(note: bytes) -> tuple[str, int, int, int] | None:
     """Writer, t1, t2 and t3 (ns) in an answer to `Reader.ask_time`; None for anything else."""
-    writer, is_time, times = note[:MAX_TIMES_BYTES].decode(errors="replace").partition("!")
+    writer, is_time, times = (
+        note[:MAX_TIMES_BYTES].decode(errors="replace").partition("!")
+    )
 
     parts = times.split(":")
     if not is_time or len(parts) != 3:

@@ -125,7 +125,11 @@ class Section(io.RawIOBase):
         return True
 
     def seek(self, offset: int, whence: int = io.SEEK_SET) -> int:
-        bases = {io.SEEK_SET: self._start, io.SEEK_CUR: self._at, io.SEEK_END: self._end}
+        bases = {
+            io.SEEK_SET: self._start,
+            io.SEEK_CUR: self._at,
+            io.SEEK_END: self._end,
+        }
         self._at = bases[whence] + offset
         return self.tell()
 

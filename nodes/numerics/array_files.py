@@ -37,7 +37,9 @@ def read_npy(raw: bytes) -> npt.NDArray[np.generic]:
     shape, in_columns, dtype = _header(head)
     n_bytes = len(raw) - head.tell()
     _check_size(shape, dtype, n_bytes)
-    flat = np.frombuffer(raw, dtype, offset=head.tell()) if n_bytes else np.empty(0, dtype)
+    flat = (
+        np.frombuffer(raw, dtype, offset=head.tell()) if n_bytes else np.empty(0, dtype)
+    )
     try:
         return flat.reshape(shape, order="F" if in_columns else "C")
     except ValueError as error:  # no number, in sides that no index counts
@@ -87,12 +89,17 @@ def read_npz(
 
 
 @contextmanager
-def opened_npz(file: IO[bytes]) -> Iterator[tuple[zipfile.ZipFile, dict[str, zipfile.ZipInfo]]]:
+def opened_npz(
+    file: IO[bytes],
+) -> Iterator[tuple[zipfile.ZipFile, dict[str, zipfile.ZipInfo]]]:
     """An archive and its arrays by name; ArrayFileError for all that fails while it is open."""
     try:
         with zipfile.ZipFile(file) as archive:
             members = archive.infolist()
-            yield archive, {member.filename.removesuffix(".npy"): member for member in members}
+            yield (
+                archive,
+                {member.filename.removesuffix(".npy"): member for member in members},
+            )
     except ArrayFileError:
         raise
     except Exception as error:  # zipfile and zlib have ten kinds of them
@@ -106,7 +113,9 @@ def _header(head: IO[bytes]) -> tuple[tuple[int, ...], bool, np.dtype[Any]]:
             warnings.simplefilter("ignore")
             form = np.lib.format
             is_first = form.read_magic(head) == (1, 0)
-            read = form.read_array_header_1_0 if is_first else form.read_array_header_2_0
+            read = (
+                form.read_array_header_1_0 if is_first else form.read_array_header_2_0
+            )
             header = read(head)
         if any(isinstance(side, bool) for side in header[0]):
             raise ValueError("True is no length")
@@ -134,9 +143,16 @@ def _member(
             raise ArrayFileError("compressed in a way that NumPy does not write")
         return read_npy(archive.read(member))
     except Exception as error:
-        why = str(error) if isinstance(error, ArrayFileError) else "not a readable NumPy file"
+        why = (
+            str(error)
+            if isinstance(error, ArrayFileError)
+            else "not a readable NumPy file"
+        )
         raise ArrayFileError(f"array {ascii(name)[:40]}: {why}") from error
 
 
 def _shape(shape: tuple[int, ...]) -> str:
-    return " x ".join(str(side) if side < 1 << 40 else "2**40.." for side in shape[:8]) or "one"
+    return (
+        " x ".join(str(side) if side < 1 << 40 else "2**40.." for side in shape[:8])
+        or "one"
+    )

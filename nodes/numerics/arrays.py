@@ -42,7 +42,9 @@ def real_floats(given: npt.ArrayLike, name: str, error: type[Exception]) -> Floa
     and for a masked array.
     """
     if has_masked(given):
-        raise error(f"{name}: entries are masked; allowed: an array without, as of .filled(0)")
+        raise error(
+            f"{name}: entries are masked; allowed: an array without, as of .filled(0)"
+        )
     try:
         array = np.asarray(given)
     except ValueError:  # lists of several lengths
@@ -69,7 +71,9 @@ def each_frame(
     expected, made = shapes
     several = given.ndim - len(expected)
     if several not in (0, 1) or given.shape[several:] != expected:
-        raise error(f"{name} has shape {given.shape}; expected {expected}, or several of them")
+        raise error(
+            f"{name} has shape {given.shape}; expected {expected}, or several of them"
+        )
     out = np.empty((*given.shape[:several], *made), dtype=np.float32)
     if several:
         for argument, result in zip(given, out, strict=True):
@@ -107,7 +111,9 @@ def of_nine(field: npt.NDArray[Any], combine: np.ufunc) -> npt.NDArray[Any]:
     """
     padded = edged(field)
     rows = combine(combine(padded[:-2], padded[1:-1]), padded[2:])
-    combined: npt.NDArray[Any] = combine(combine(rows[:, :-2], rows[:, 1:-1]), rows[:, 2:])
+    combined: npt.NDArray[Any] = combine(
+        combine(rows[:, :-2], rows[:, 1:-1]), rows[:, 2:]
+    )
     return combined
 
 

@@ -67,7 +67,9 @@ def use_compiled(fast: str) -> bool:
         import_module("numba")
     except ImportError as error:
         if checked == "on":
-            raise SettingsError(f"fast: importing numba failed: {one_line(error)}") from error
+            raise SettingsError(
+                f"fast: importing numba failed: {one_line(error)}"
+            ) from error
         return False
     return True
 
@@ -139,7 +141,9 @@ def _alone(loop: Callable[..., Any]) -> Iterator[None]:
 
 
 @contextmanager
-def _progress(log: Callable[[str], None], begin: Callable[[], None]) -> Iterator[list[float]]:
+def _progress(
+    log: Callable[[str], None], begin: Callable[[], None]
+) -> Iterator[list[float]]:
     """Log when compiling begins and ends; loops that are read from disk are not compiled. Yields
     a list, which holds the time at which it began, once it has.
     """
@@ -165,7 +169,9 @@ def _progress(log: Callable[[str], None], begin: Callable[[], None]) -> Iterator
 _SIGNATURES: dict[Callable[..., Any], tuple[Any, ...]] = {}
 
 
-def compiled(*signatures: Any, sums_in_any_order: bool = False) -> Callable[[Function], Function]:
+def compiled(
+    *signatures: Any, sums_in_any_order: bool = False
+) -> Callable[[Function], Function]:
     """Return the decorator of a loop that `ready` compiles for these signatures.
 
     The compiled code is stored beside the module, in the user's cache folder where that folder

@@ -93,8 +93,12 @@ class Received(NamedTuple):
 class DoubtConstants(NamedTuple):
     """Constants of `doubt_values`."""
 
-    outlying: float  # squared change, in that of others, at which half of a value is doubted
-    clear_ratio: float  # the same in `outlying`, beyond which a larger one does not count
+    outlying: (
+        float  # squared change, in that of others, at which half of a value is doubted
+    )
+    clear_ratio: (
+        float  # the same in `outlying`, beyond which a larger one does not count
+    )
     certain: float  # least part that is not doubted
 
 
@@ -666,7 +670,9 @@ def compare(y: A, received: A, bias: Any, values: A) -> tuple[float, float, floa
 
 
 @compiled(sums_in_any_order=True)
-def doubt_values(received: A, measured: A, x_rows: A, noise: float, constants: A) -> None:
+def doubt_values(
+    received: A, measured: A, x_rows: A, noise: float, constants: A
+) -> None:
     """Set doubt and excess of the values, as in `FrameVectors`."""
     read = measured.read
     values = measured.values
@@ -708,11 +714,15 @@ def doubt_values(received: A, measured: A, x_rows: A, noise: float, constants: A
         power = ratio * ratio * ratio * ratio
         doubted = max(power / (1 + power), np.float64(faulty[i]))
         doubt[i] = doubted
-        excess[i] = doubted * squares[i] / (np.float64(_1 - np.float32(doubted)) + certain)
+        excess[i] = (
+            doubted * squares[i] / (np.float64(_1 - np.float32(doubted)) + certain)
+        )
 
 
 @compiled(sums_in_any_order=True)
-def motion_sums(measured: A, estimate: A, by_down: A, by_across: A) -> tuple[float, ...]:
+def motion_sums(
+    measured: A, estimate: A, by_down: A, by_across: A
+) -> tuple[float, ...]:
     """Sums of `MotionSums` over the rows read: the products of its terms a, b and c, and those of
     each term and what the values exceed W x by.
     """
@@ -768,7 +778,9 @@ def skin_begin(
     neighbours are the places of the next and the previous neighbour of each taxel along rows and
     columns, uint32 (4, n).
     """
-    squares, largest_y, change_y = compare(y, received, np.float32(bias), measured.values)
+    squares, largest_y, change_y = compare(
+        y, received, np.float32(bias), measured.values
+    )
     doubt_values(received, measured, estimate.rows, noise, constants)
 
     x = estimate.x
@@ -876,7 +888,16 @@ def filter_sums(measured: A, filters: A, unknown: float) -> tuple[int, float, fl
 
 
 @compiled(
-    (ESTIMATE, MOTION_WEIGHTS, SLOPES, TRANSFORM, MEASURED, PREDICTION, FILTERS, FILTER_CONSTANTS),
+    (
+        ESTIMATE,
+        MOTION_WEIGHTS,
+        SLOPES,
+        TRANSFORM,
+        MEASURED,
+        PREDICTION,
+        FILTERS,
+        FILTER_CONSTANTS,
+    ),
     sums_in_any_order=True,
 )
 def skin_predict(
@@ -1000,7 +1021,9 @@ def raise_all(numbers: A, exponent: Any, factor: Any) -> None:
     for p in range(numbers.size):
         q = (numbers[p] - _ROOT_2) / (numbers[p] + _ROOT_2)
         q2 = q * q
-        artanh = q * (_1 + q2 * (_THIRD + q2 * (_FIFTH + q2 * (_SEVENTH + q2 * _NINTH))))
+        artanh = q * (
+            _1 + q2 * (_THIRD + q2 * (_FIFTH + q2 * (_SEVENTH + q2 * _NINTH)))
+        )
         e = double * artanh
         series = _1 + e * _SIXTH * (_1 + e * _SEVENTH)
         series = _1 + e * _QUARTER * (_1 + e * _FIFTH * series)
@@ -1010,7 +1033,13 @@ def raise_all(numbers: A, exponent: Any, factor: Any) -> None:
 
 @compiled(sums_in_any_order=True)
 def set_targets(
-    measured: A, prediction: A, filters: A, targets: A, recall: A, variances: A, constants: A
+    measured: A,
+    prediction: A,
+    filters: A,
+    targets: A,
+    recall: A,
+    variances: A,
+    constants: A,
 ) -> None:
     """Combine the prediction and the filter of each row, by their precisions."""
     mean = filters.mean
@@ -1090,7 +1119,13 @@ def read_values(measured: A, filters: A, targets: A, variances: A) -> Any:
     sums_in_any_order=True,
 )
 def skin_filter(
-    measured: A, prediction: A, filters: A, targets: A, recall: A, variances: A, constants: A
+    measured: A,
+    prediction: A,
+    filters: A,
+    targets: A,
+    recall: A,
+    variances: A,
+    constants: A,
 ) -> tuple[float, int]:
     """Filter all rows, as in `FrameVectors`. Return the mean variance of the targets of the rows
     read, and the number of the rows that were read so far.
@@ -1252,7 +1287,9 @@ def busy_windows(tiles: A, shift: int, limits: A, scratch: A) -> tuple[int, floa
     while first < n_tiles:
         row = np.int64(begins[first])
         stop = first + 1
-        while stop < n_tiles and np.int64(begins[stop]) - np.int64(begins[stop - 1]) == 8:
+        while (
+            stop < n_tiles and np.int64(begins[stop]) - np.int64(begins[stop - 1]) == 8
+        ):
             stop += 1
         n_columns = np.int64(begins[stop - 1]) - row + 12
         sum_bands(image, row, width, n_columns, bands)
@@ -1274,7 +1311,9 @@ def busy_windows(tiles: A, shift: int, limits: A, scratch: A) -> tuple[int, floa
 
 
 @compiled(sums_in_any_order=True)
-def shrink_tiles(tiles: A, shift: int, limits: A, scratch: A, n_busy: int, s: Any) -> Any:
+def shrink_tiles(
+    tiles: A, shift: int, limits: A, scratch: A, n_busy: int, s: Any
+) -> Any:
     """Denoise the busy windows by `haar_shrink`, into scratch.denoised, times s. Return the
     expected squared error of their taxels, in those of the skin.
     """
@@ -1295,7 +1334,9 @@ def shrink_tiles(tiles: A, shift: int, limits: A, scratch: A, n_busy: int, s: An
         begin = begins[busy[b]] + 2 * width + 2
         for i in range(8):
             for j in range(8):
-                denoised[begin + i * width + j] = s * parts[b] * max(sums[8 * i + j, b], _0)
+                denoised[begin + i * width + j] = (
+                    s * parts[b] * max(sums[8 * i + j, b], _0)
+                )
     return expected
 
 
@@ -1310,7 +1351,9 @@ def hidden_units(weights: A, scratch: A, n_busy: int) -> None:
     for b in range(n_busy):
         of_window = a[b]
         sizes = levels[b, k:]
-        for j in range(sizes.size):  # without a choice, so that its roots become vectors
+        for j in range(
+            sizes.size
+        ):  # without a choice, so that its roots become vectors
             sizes[j] = _4 * (np.sqrt(np.sqrt(_1 + abs(of_window[j]))) - _1)
         for j in range(k):
             levels[b, j] = sizes[j] if of_window[j] >= 0 else -sizes[j]
@@ -1323,7 +1366,9 @@ def hidden_units(weights: A, scratch: A, n_busy: int) -> None:
 
 
 @compiled(sums_in_any_order=True)
-def gate_tiles(tiles: A, shift: int, weights: A, limits: A, scratch: A, n_busy: int, s: Any) -> Any:
+def gate_tiles(
+    tiles: A, shift: int, weights: A, limits: A, scratch: A, n_busy: int, s: Any
+) -> Any:
     """As `shrink_tiles`, by the learned gates."""
     quiet = limits.quiet
     hidden_units(weights, scratch, n_busy)
@@ -1445,12 +1490,16 @@ def skin_step(
     limits = inputs.denoiser.limits
     v = scratch.v
     shift = (plan.first_shift + k) % tiles.counts.size
-    off2, residual2 = target_residual(z, inputs.transform, measured, inputs.targets, u, v)
+    off2, residual2 = target_residual(
+        z, inputs.transform, measured, inputs.targets, u, v
+    )
 
     # Error variance of z, seen by the rows read.
     least_tau = constants.least_tau * max(off2, plan.target_variance)
     tau = np.float32(max(off2 - plan.target_variance, least_tau) + plan.floor)
-    s, per_weight = linear_estimate(z, inputs.transform, inputs.targets, tau, plan.floor, u, v)
+    s, per_weight = linear_estimate(
+        z, inputs.transform, inputs.targets, tau, plan.floor, u, v
+    )
 
     denoised = scratch.denoised
     for q in range(denoised.size):
@@ -1549,7 +1598,8 @@ def settle_forces(x: A, blend: A, forces: A) -> tuple[float, float]:
 
 
 @compiled(
-    (V, PREDICTION, MEASURED, V, TRANSFORM, ESTIMATE, BLEND_NUMBERS, V), sums_in_any_order=True
+    (V, PREDICTION, MEASURED, V, TRANSFORM, ESTIMATE, BLEND_NUMBERS, V),
+    sums_in_any_order=True,
 )
 def skin_settle(
     of_steps: A,
@@ -1644,7 +1694,14 @@ def root_of(parents: A, k: int) -> int:
 
 @compiled()
 def label_cells(
-    forces: A, low: float, high: float, regions: A, index: A, labels: A, parents: A, is_kept: A
+    forces: A,
+    low: float,
+    high: float,
+    regions: A,
+    index: A,
+    labels: A,
+    parents: A,
+    is_kept: A,
 ) -> tuple[int, int]:
     """Label the cells above `low`, in one scan; regions becomes 0 elsewhere. Set the cells, index,
     and of each label a label of the same component, parents, and whether a cell of it is above
@@ -1708,7 +1765,9 @@ def number_components(parents: A, is_kept: A, n_labels: int) -> int:
 
 
 @compiled()
-def component_moments(flat: A, variances: A, places: A, index: A, numbers: A, sums: A) -> None:
+def component_moments(
+    flat: A, variances: A, places: A, index: A, numbers: A, sums: A
+) -> None:
     """Complete the rows of sums of `components` that depend on the centres."""
     k = places.shape[0]
     n = sums.shape[1]
@@ -1740,7 +1799,13 @@ def component_moments(flat: A, variances: A, places: A, index: A, numbers: A, su
 
 @compiled((M, float32, float64, V, DM, int32[::1], int64))
 def components(
-    forces: A, low: float, high: float, variances: A, places: A, regions: A, n_regions: int
+    forces: A,
+    low: float,
+    high: float,
+    variances: A,
+    places: A,
+    regions: A,
+    n_regions: int,
 ) -> tuple[A, A, A, A, int]:
     """The same as `components` of the module `contacts`, but for rounding, in one scan."""
     n_rows, n_cols = forces.shape
@@ -1751,7 +1816,9 @@ def components(
     bound = ((n_rows + 1) // 2) * ((n_cols + 1) // 2)
     parents = np.empty(bound, np.int64)
     is_kept = np.zeros(bound, np.bool_)
-    n_pressed, n_labels = label_cells(forces, low, high, regions, index, labels, parents, is_kept)
+    n_pressed, n_labels = label_cells(
+        forces, low, high, regions, index, labels, parents, is_kept
+    )
     n = number_components(parents, is_kept, n_labels)
 
     numbers = np.empty(n_pressed, np.int64)

@@ -7,7 +7,15 @@ from functools import lru_cache
 from itertools import chain
 from typing import Any, ClassVar
 
-from sparseskin.messages import Message, MessageError, PhiState, SkinState, Truth, decode, topic_of
+from sparseskin.messages import (
+    Message,
+    MessageError,
+    PhiState,
+    SkinState,
+    Truth,
+    decode,
+    topic_of,
+)
 from sparseskin.messages.ranges import is_real
 from sparseskin.messages.topics import split_topic
 from sparseskin.messages.wire import SCHEMAS
@@ -33,7 +41,10 @@ class PlayerSettings(Settings):
 
     file: str = setting("", "recording to play, NAME.mcap")
     rate: float = setting(
-        1.0, "times the recorded speed; 0: as fast as the readers allow", low=0.0, high=1000.0
+        1.0,
+        "times the recorded speed; 0: as fast as the readers allow",
+        low=0.0,
+        high=1000.0,
     )
     loop: bool = setting(False, "restart at the end")
     start_s: float = setting(0.0, "seconds of the recording to skip", low=0.0, high=1e9)
@@ -43,10 +54,16 @@ class PlayerSettings(Settings):
     schemas: tuple[str, ...] = setting(
         (), "schemas to play (skin, taxels, truth ...), instead of topics"
     )
-    remap: tuple[str, ...] = setting((), "FROM:=TO each: /PATCH:=/PATCH or whole topics")
-    lockstep: bool = setting(False, "send no frame before all readers have processed the last")
+    remap: tuple[str, ...] = setting(
+        (), "FROM:=TO each: /PATCH:=/PATCH or whole topics"
+    )
+    lockstep: bool = setting(
+        False, "send no frame before all readers have processed the last"
+    )
     keep_stamps: bool = setting(False, "keep stamps as recorded")
-    wait: int = setting(0, "readers to wait for before the first frame", low=0, high=1000)
+    wait: int = setting(
+        0, "readers to wait for before the first frame", low=0, high=1000
+    )
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -55,7 +72,9 @@ class PlayerSettings(Settings):
                 raise SettingsError(f"remap: '{pair}': expected FROM:=TO")
         for schema in self.schemas:
             if schema not in SCHEMAS:
-                raise SettingsError(f"schemas: {schema}: no schema{did_you_mean(schema, SCHEMAS)}")
+                raise SettingsError(
+                    f"schemas: {schema}: no schema{did_you_mean(schema, SCHEMAS)}"
+                )
         if self.schemas and self.topics:
             raise SettingsError("schemas: cannot be combined with topics")
         if self.keep_stamps and self.loop:
@@ -68,7 +87,9 @@ class PlayerSettings(Settings):
         first_ns, last_ns = span_ns(infos) or (0, 0)
         length_s = (last_ns - first_ns) / 1e9
         if self.start_s > length_s:
-            raise SettingsError(f"start_s: {self.start_s:g}: the recording lasts {length_s:.3f} s")
+            raise SettingsError(
+                f"start_s: {self.start_s:g}: the recording lasts {length_s:.3f} s"
+            )
 
 
 class Player(SourceNode[PlayerSettings]):
@@ -94,12 +115,16 @@ class Player(SourceNode[PlayerSettings]):
         # Not the whole file is read: what is damaged is reported as it is played.
         self._bag = BagReader(settings.file, whole=False)
         names = renamed_topics(settings)
-        self._names = {topic: new for topic, new in names.items() if topic in self._bag.topics}
+        self._names = {
+            topic: new for topic, new in names.items() if topic in self._bag.topics
+        }
         if self._bag.recovered:
             print(f"{settings.file}: {self._bag.recovered}")
         if not any(info.n_messages for info in self._bag.topics.values()):
             self._bag.close()
-            raise SettingsError(f"{settings.file}: holds no message, so there is nothing to play")
+            raise SettingsError(
+                f"{settings.file}: holds no message, so there is nothing to play"
+            )
 
         self.min_readers = settings.wait or int(settings.lockstep)
         if settings.lockstep:
@@ -110,7 +135,9 @@ class Player(SourceNode[PlayerSettings]):
         states = [info for topic, info in self._bag.topics.items() if is_latched(topic)]
         self._has_changes = any(info.n_messages > 1 for info in states)
 
-        first_ns, last_ns = span_ns(self._bag.topics[topic] for topic in self._names) or (0, 0)
+        first_ns, last_ns = span_ns(
+            self._bag.topics[topic] for topic in self._names
+        ) or (0, 0)
         self._start_ns = first_ns + round(settings.start_s * 1e9)
         self._stop_ns = last_ns + 1
         if settings.duration_s is not None:
@@ -139,7 +166,9 @@ class Player(SourceNode[PlayerSettings]):
             contextlib.suppress(SparseskinError, MessageError),
         ):
             names = renamed_topics(settings)
-            latched = [topic for topic in names if topic in bag.topics and is_latched(topic)]
+            latched = [
+                topic for topic in names if topic in bag.topics and is_latched(topic)
+            ]
             for recorded in bag.messages(latched):
                 state = decode(recorded.topic.encode(), recorded.payload)
                 new_name = names[recorded.topic]
@@ -211,7 +240,9 @@ class Player(SourceNode[PlayerSettings]):
             case "faster" | "slower":
                 factor = 1.1 if name == "faster" else 1 / 1.1
                 rate = self._schedule.rate * factor
-                return self._change_rate(min(max(rate, LOWEST_RATE), HIGHEST_RATE), now_ns)
+                return self._change_rate(
+                    min(max(rate, LOWEST_RATE), HIGHEST_RATE), now_ns
+                )
             case "rate":
                 rate = _number("rate", value, LOWEST_RATE, HIGHEST_RATE)
                 return self._change_rate(rate, now_ns)
@@ -342,7 +373,9 @@ class Player(SourceNode[PlayerSettings]):
 
 def _number(name: str, value: Any, low: float, high: float) -> float:
     if not is_real(value, low, high):
-        raise RefusedError(f"{name}: {value!r} is not allowed (allowed: {low:g}..{high:g})")
+        raise RefusedError(
+            f"{name}: {value!r} is not allowed (allowed: {low:g}..{high:g})"
+        )
     return float(value)
 
 
@@ -370,7 +403,9 @@ def renamed_topics(settings: PlayerSettings) -> dict[str, str]:
 
     for pair in settings.remap:
         old, new = (side.strip().rstrip("/") for side in pair.split(":="))
-        matching = [topic for topic in topics if topic == old or topic.startswith(old + "/")]
+        matching = [
+            topic for topic in topics if topic == old or topic.startswith(old + "/")
+        ]
         if not matching:
             raise SettingsError(f"remap: {old}: not in the file{_known(topics)}")
         for topic in matching:
@@ -388,11 +423,15 @@ def _known(topics: Iterable[str]) -> str:
 def _of_schemas(recorded: Iterable[str], settings: PlayerSettings) -> list[str]:
     """Topics of the chosen schemas; the truth may be missing, as for real skins."""
     patches = dict.fromkeys(split_topic(topic)[0] for topic in recorded)
-    topics = [topic_of(patch, schema) for patch in patches for schema in settings.schemas]
+    topics = [
+        topic_of(patch, schema) for patch in patches for schema in settings.schemas
+    ]
     for topic in topics:
         if topic not in recorded and split_topic(topic)[1] != Truth.schema:
             place = f"{settings.file}, which has {', '.join(sorted(recorded))}"
-            raise SettingsError(f"schemas: {topic}: not in {place}; record it with them")
+            raise SettingsError(
+                f"schemas: {topic}: not in {place}; record it with them"
+            )
     return topics
 
 
@@ -402,5 +441,7 @@ def _renamed(topic: str, new: str) -> str:
     except MessageError as error:
         raise SettingsError(f"remap: {error}") from error
     if schema != split_topic(topic)[1]:
-        raise SettingsError(f"remap: {topic} cannot become {new}: a topic ends in its schema")
+        raise SettingsError(
+            f"remap: {topic} cannot become {new}: a topic ends in its schema"
+        )
     return new

@@ -51,7 +51,9 @@ MAX_QUEUED_BYTES = 1 << 20
 class Connection:
     """One connection, one JSON object a line; no method blocks."""
 
-    def __init__(self, connection: socket.socket, max_line_bytes: int = MAX_QUEUED_BYTES) -> None:
+    def __init__(
+        self, connection: socket.socket, max_line_bytes: int = MAX_QUEUED_BYTES
+    ) -> None:
         self._max_line_bytes = max_line_bytes
         self.connection = connection
         self.watches = False
@@ -106,7 +108,9 @@ class Control(Connection):
         """Send an event, and wait until it is sent."""
         try:
             with self._lock:  # a node may have threads of its own
-                self.connection.sendall(json.dumps({"event": event, **fields}).encode() + b"\n")
+                self.connection.sendall(
+                    json.dumps({"event": event, **fields}).encode() + b"\n"
+                )
         except OSError:
             self.closed = True
 
@@ -128,7 +132,9 @@ class ControlClient(Connection):
             made.connect(path)
         except OSError as error:
             made.close()
-            raise SparseskinError(f"{path}: no graph listens there: {error.strerror}") from error
+            raise SparseskinError(
+                f"{path}: no graph listens there: {error.strerror}"
+            ) from error
         super().__init__(made)
 
     def receive(self) -> list[dict[str, Any]] | None:

@@ -38,7 +38,9 @@ def output_of(module: str, *arguments: str, n_bytes: int, data: bytes = b"") -> 
         ) from None
     # The last lines: a library may have printed before.
     if done.returncode == REFUSED:
-        raise SourceError(done.stderr.decode("utf-8", "replace").strip().rpartition("\n")[2])
+        raise SourceError(
+            done.stderr.decode("utf-8", "replace").strip().rpartition("\n")[2]
+        )
     if done.returncode:
         how = f"failed (status {done.returncode})"
         if done.returncode < 0:
@@ -56,7 +58,9 @@ def child_status(name: str, work: Callable[[], None]) -> int:
     except SourceError as error:
         print(error, file=sys.stderr)
     except MemoryError:
-        print(f"{name}: needs more memory than is allowed to its reader", file=sys.stderr)
+        print(
+            f"{name}: needs more memory than is allowed to its reader", file=sys.stderr
+        )
     else:
         return 0
     return REFUSED

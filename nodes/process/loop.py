@@ -102,7 +102,9 @@ class Loop:
         # Nodes have been made before: no solver is compiled with real-time priority.
         with first.scheduling.applied():
             context = make_context()
-            if first.scheduling.priority:  # what comes and goes is never behind the nodes' work
+            if (
+                first.scheduling.priority
+            ):  # what comes and goes is never behind the nodes' work
                 context.set(zmq.THREAD_PRIORITY, first.scheduling.priority + 1)
             self._turn_to(first)
             first.open(context, self._poller)

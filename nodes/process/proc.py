@@ -42,7 +42,9 @@ def resident_bytes(pid: int) -> int:
 def own_bytes(pid: int) -> int:
     """Resident memory of a process, each shared page divided by the number of its users (PSS)."""
     lines = Path(f"/proc/{pid}/smaps_rollup").read_text().splitlines()
-    return 1024 * next(int(line.split()[1]) for line in lines if line.startswith("Pss:"))
+    return 1024 * next(
+        int(line.split()[1]) for line in lines if line.startswith("Pss:")
+    )
 
 
 def host_busy_s() -> float:

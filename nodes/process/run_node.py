@@ -27,7 +27,9 @@ def main() -> int:
     try:
         loop.run()
     except SparseskinError as error:
-        loop.control.emit("error", text=str(error), code=EXIT_USAGE, trace=trace_of(error))
+        loop.control.emit(
+            "error", text=str(error), code=EXIT_USAGE, trace=trace_of(error)
+        )
         return EXIT_USAGE
     except zmq.ZMQError as error:
         # The error names the address, which may be that for other hosts.
@@ -37,7 +39,9 @@ def main() -> int:
     except Exception as error:
         if os.environ.get("SPARSESKIN_TRACEBACK"):
             raise
-        loop.control.emit("error", text=one_line(error), code=EXIT_CRASH, trace=trace_of(error))
+        loop.control.emit(
+            "error", text=one_line(error), code=EXIT_CRASH, trace=trace_of(error)
+        )
         return EXIT_CRASH
     return 0
 

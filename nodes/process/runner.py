@@ -49,7 +49,9 @@ class Runner:
     network: Network
     writer: Writer
 
-    def __init__(self, control: Control, config: dict[str, Any], log_file: TextIO) -> None:
+    def __init__(
+        self, control: Control, config: dict[str, Any], log_file: TextIO
+    ) -> None:
         self.control = control
         self.log_file = log_file
         self._config = config
@@ -71,7 +73,12 @@ class Runner:
         node = cls(settings, context)
         run_id = secrets.token_hex(8)
         self.host = NodeHost(
-            node, run_id, self.log, config["inputs"], late, config.get("distant_inputs", ())
+            node,
+            run_id,
+            self.log,
+            config["inputs"],
+            late,
+            config.get("distant_inputs", ()),
         )
         self.streams = frozenset(topic.encode() for topic in self.host.streams)
         self.host.raised = lambda error: control.emit("raised", trace=trace_of(error))
@@ -79,12 +86,16 @@ class Runner:
             self.host.published = Tally(*tally).set
         self.expected = set(config["readers"])
         self.max_frames: int | None = config.get("max_frames")
-        self.scheduling = Scheduling(tuple(config.get("cpus", ())), config.get("priority", 0))
+        self.scheduling = Scheduling(
+            tuple(config.get("cpus", ())), config.get("priority", 0)
+        )
         self.reader: Reader | None = None
         self.client: ControlClient | None = None
         self.client_lock = threading.Lock()  # a node may have threads of its own
         self.connected = self.ready = self.started = self.begun = False
-        self.draining = self.stopping = self.end_reported = self.failed = self.terminated = False
+        self.draining = self.stopping = self.end_reported = self.failed = (
+            self.terminated
+        ) = False
         self.asks: deque[int] = deque()
         self.unanswered: deque[tuple[int, bytes]] = deque()
         self.caught_up = True
@@ -99,12 +110,17 @@ class Runner:
         print(line, file=self.log_file, flush=True)
 
     def open(
-        self, context: zmq.Context[Any], poller: zmq.Poller, first: "Runner | None" = None
+        self,
+        context: zmq.Context[Any],
+        poller: zmq.Poller,
+        first: "Runner | None" = None,
     ) -> None:
         """Open the sockets of the node; `first` is the first node of the process, if another."""
         config = self._config
         of_first = first.network if first is not None else None
-        self.network = Network(context, config, self.clock.now_ns, self.log, poller, of_first)
+        self.network = Network(
+            context, config, self.clock.now_ns, self.log, poller, of_first
+        )
         self.writer = self.network.writer
         poller.register(self.control.connection.fileno(), zmq.POLLIN)
         if first is None:
@@ -133,12 +149,16 @@ class Runner:
 
     def start(self) -> None:
         """Name the endpoint of the node to the launcher, and publish its first messages."""
-        self.control.emit("bound", endpoint=self.writer.endpoint, unused=self.host.node.unused)
+        self.control.emit(
+            "bound", endpoint=self.writer.endpoint, unused=self.host.node.unused
+        )
         self._publish(self.host.start())
 
     def serve(self, ready: Container[Any]) -> None:
         """Do all that is to be done now; `ready` are the sockets and files that can be read."""
-        if self.writer.socket in ready:  # the states for a new reader come before frames
+        if (
+            self.writer.socket in ready
+        ):  # the states for a new reader come before frames
             self.writer.serve_subscriptions()
         if self.reader is not None and self._has_waiting(self.reader, ready):
             self._receive(self.reader)
@@ -238,7 +258,9 @@ class Runner:
             if name == "set":
                 self._publish(self.host.change(value))
                 text = ", ".join(
-                    f"{key} = {json.dumps(v)}" if v is not None else f"{key} is no longer stated"
+                    f"{key} = {json.dumps(v)}"
+                    if v is not None
+                    else f"{key} is no longer stated"
                     for key, v in value.items()
                 )
             else:
@@ -300,7 +322,9 @@ class Runner:
         if self.n_ticks >= self.max_frames:
             self._publish(self.host.finish_frames(stamp_ns))
         elif exhausted:
-            self.log(f"the source ended after {self.n_ticks} of the {self.max_frames} frames")
+            self.log(
+                f"the source ended after {self.n_ticks} of the {self.max_frames} frames"
+            )
 
     def _publish(self, messages: Iterable[Message]) -> int:
         """Send messages; return their number."""
@@ -325,7 +349,9 @@ class Runner:
             self.network.end_repeated()
             self.control.emit(
                 "heartbeat",
-                lacks=sorted(self.expected - self.writer.present) if not self.ready else [],
+                lacks=sorted(self.expected - self.writer.present)
+                if not self.ready
+                else [],
                 line=self.host.node.status(),
                 state=self.host.node.state(),
                 refusal=self.host.refusal,

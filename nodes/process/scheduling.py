@@ -19,10 +19,16 @@ class Scheduling(Settings):
     """How the kernel schedules a node: keys of [graph], for all nodes, and of [nodes.NAME]."""
 
     cpus: tuple[int, ...] = setting(
-        (), "CPUs on which a node may run, as [0, 1]; []: all of the launcher", low=0, high=MAX_CPU
+        (),
+        "CPUs on which a node may run, as [0, 1]; []: all of the launcher",
+        low=0,
+        high=MAX_CPU,
     )
     priority: int = setting(
-        0, "real-time priority (SCHED_FIFO); 0: it shares the CPUs", low=0, high=MAX_PRIORITY
+        0,
+        "real-time priority (SCHED_FIFO); 0: it shares the CPUs",
+        low=0,
+        high=MAX_PRIORITY,
     )
 
     def __post_init__(self) -> None:
@@ -34,14 +40,18 @@ class Scheduling(Settings):
         here = os.sched_getaffinity(0)
         if away := sorted(set(self.cpus) - here):
             text = f"CPU {away[0]} is not there for this process"
-            raise SettingsError(f"cpus: {text} (allowed: {', '.join(map(str, sorted(here)))})")
+            raise SettingsError(
+                f"cpus: {text} (allowed: {', '.join(map(str, sorted(here)))})"
+            )
         if not self.priority:
             return
         policy, parameters = os.sched_getscheduler(0), os.sched_getparam(0)
         try:
             os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(self.priority + 1))
         except PermissionError as error:
-            limit = f"a limit rtprio of {self.priority + 1} or more, as in limits.conf(5)"
+            limit = (
+                f"a limit rtprio of {self.priority + 1} or more, as in limits.conf(5)"
+            )
             text = f"{self.priority} is not permitted to this user (allowed: 0; or {limit})"
             raise SettingsError(f"priority: {text}") from error
         finally:

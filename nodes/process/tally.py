@@ -38,4 +38,6 @@ class Tally:
         """Number of messages of each topic that has some."""
         content = os.pread(self.fd, _COUNT.size * len(self._topics), 0)
         numbers = _COUNT.iter_unpack(content)
-        return {topic: n for topic, (n,) in zip(self._topics, numbers, strict=True) if n}
+        return {
+            topic: n for topic, (n,) in zip(self._topics, numbers, strict=True) if n
+        }

@@ -65,7 +65,9 @@ class TileCosts(NamedTuple):
         return self.frame_s + n_steps * self.step_s + n_tiles * self.tile_s
 
 
-def steps_within(solver: Solver, phi: Phi, f_max: float, budget_s: float) -> tuple[int, float]:
+def steps_within(
+    solver: Solver, phi: Phi, f_max: float, budget_s: float
+) -> tuple[int, float]:
     """Number of steps of a frame that fit into a budget on this host, and its time, seconds; where
     every taxel is pressed.
 
@@ -142,7 +144,9 @@ def _time_of(solver: CountsTiles, phi: Phi, y: Floats, n_steps: int) -> float:
     return time.perf_counter() - begin_s
 
 
-def measured_costs(solver: Solver, phi: Phi, f_max: float, n_first: int = N_FIRST) -> Costs:
+def measured_costs(
+    solver: Solver, phi: Phi, f_max: float, n_first: int = N_FIRST
+) -> Costs:
     """Time frames in which every taxel is pressed by up to f_max, newtons; the solver is reset.
 
     Of each time the least of all frames counts: what else runs on the host only adds to it.

@@ -40,7 +40,9 @@ class Tracks:
         self.ids = ids
         self.state = state
         self.age_s, self.over, self.sliding = state[:3]
-        self.velocities, self.places = state[3:].reshape(2, len(state) // 2 - 1, len(ids))
+        self.velocities, self.places = state[3:].reshape(
+            2, len(state) // 2 - 1, len(ids)
+        )
 
     def of(self, ids: list[int], places: Doubles) -> Tracks:
         """Contacts of other ids; those that are not among these begin now, at some places."""
@@ -112,7 +114,10 @@ class ContactTracker:
     def fits(self, skin: SkinState) -> bool:
         """True if it follows contacts on the taxels of that skin."""
         theirs = vars(skin.skin)
-        return all(np.array_equal(value, theirs[name]) for name, value in vars(self._skin).items())
+        return all(
+            np.array_equal(value, theirs[name])
+            for name, value in vars(self._skin).items()
+        )
 
     def set_noise(self, skin: SkinState) -> None:
         """Take the stated noise of a skin as the least unit of the thresholds."""
@@ -164,8 +169,12 @@ class ContactTracker:
             if not contact_id:
                 self._last_id += 1
                 ids[k] = self._last_id
-        events = [(contact_id, BEGIN) for contact_id in ids if contact_id not in earlier.ids]
-        events += [(contact_id, END) for contact_id in earlier.ids if contact_id not in ids]
+        events = [
+            (contact_id, BEGIN) for contact_id in ids if contact_id not in earlier.ids
+        ]
+        events += [
+            (contact_id, END) for contact_id in earlier.ids if contact_id not in ids
+        ]
 
         earlier.age_s += max(0.0, elapsed_s)
         tracks = earlier.of(ids, places)
@@ -180,7 +189,9 @@ class ContactTracker:
             begins = _switch(tracks.sliding, speeds, limits.slide)
             events += [(ids[k], SLIDE) for k in begins]
 
-        self._apart = {merged: parts for merged, parts in self._apart.items() if merged in ids}
+        self._apart = {
+            merged: parts for merged, parts in self._apart.items() if merged in ids
+        }
         return Followed(self._fields(regions.sums), events)
 
     def rest(self, until_ns: int) -> None:
@@ -206,7 +217,12 @@ class ContactTracker:
 
         # Contacts and earlier ones that overlap, which is one to one in nearly all frames.
         rows = regions.overlap.tolist()
-        pairs = [(k, q) for k, row in enumerate(rows) for q, n_cells in enumerate(row) if n_cells]
+        pairs = [
+            (k, q)
+            for k, row in enumerate(rows)
+            for q, n_cells in enumerate(row)
+            if n_cells
+        ]
         overlapping = {k for k, _ in pairs}
         overlapped = {q for _, q in pairs}
         if len(overlapping) == len(overlapped) == len(pairs):
@@ -218,7 +234,9 @@ class ContactTracker:
         # Fast ones overlap with none: the nearest ones are the same contact.
         alone = [k for k, row in enumerate(rows) if not (ids[k] or any(row))]
         gone = [q for q in range(len(tracks.ids)) if q not in overlapped]
-        for k, q, distance in _nearest(alone, places, [tracks.places[:2, q] for q in gone]):
+        for k, q, distance in _nearest(
+            alone, places, [tracks.places[:2, q] for q in gone]
+        ):
             if distance <= GATE + math.sqrt(regions.sums[1, k]):
                 ids[k] = tracks.ids[gone[q]]
         return ids
@@ -232,7 +250,11 @@ class ContactTracker:
         for q, merged in enumerate(tracks.ids):
             if merged in self._apart:
                 parts = [k for k, contact_id in enumerate(ids) if contact_id == merged]
-                parts += [k for k, contact_id in enumerate(ids) if not contact_id and overlap[k, q]]
+                parts += [
+                    k
+                    for k, contact_id in enumerate(ids)
+                    if not contact_id and overlap[k, q]
+                ]
                 if len(parts) > 1:
                     self._part(merged, sorted(parts), ids, places)
 
@@ -241,11 +263,15 @@ class ContactTracker:
             if met not in ids and overlap[into, q] and ids[into] in tracks.ids:
                 merged = ids[into]
                 places_of_parts = self._apart.setdefault(merged, {})
-                places_of_parts.setdefault(merged, tracks.places[:2, tracks.ids.index(merged)])
+                places_of_parts.setdefault(
+                    merged, tracks.places[:2, tracks.ids.index(merged)]
+                )
                 places_of_parts[met] = tracks.places[:2, q]
                 places_of_parts.update(self._apart.get(met, {}))
 
-    def _part(self, merged: int, parts: Sequence[int], ids: list[int], places: Doubles) -> None:
+    def _part(
+        self, merged: int, parts: Sequence[int], ids: list[int], places: Doubles
+    ) -> None:
         """Give the parts of merged contacts the ids that were nearest to them before."""
         places_of_parts = self._apart[merged]
         ids_before = list(places_of_parts)
@@ -303,7 +329,9 @@ def _nearest(
     """Pairs of contacts and spots that are nearest in sum, and each distance, in taxels."""
     if contacts and spots:
         targets = [spot.tolist() for spot in spots]
-        distances = [[math.dist(places[:2, k], target) for target in targets] for k in contacts]
+        distances = [
+            [math.dist(places[:2, k], target) for target in targets] for k in contacts
+        ]
         for k, q in zip(*linear_sum_assignment(distances), strict=True):
             yield contacts[k], q, distances[k][q]
 
@@ -341,7 +369,9 @@ def joined(followed: Sequence[Followed | None]) -> dict[str, Any]:
             fields[name] = np.concatenate([patch.fields[name] for _, patch in touched])
 
     if len(followed) > 1:
-        numbers = [np.full(patch.fields["id"].size, k, dtype=np.int32) for k, patch in touched]
+        numbers = [
+            np.full(patch.fields["id"].size, k, dtype=np.int32) for k, patch in touched
+        ]
         fields["patch_of"] = np.concatenate([*numbers, np.zeros(0, dtype=np.int32)])
     events = [(k, *event) for k, patch in numbered for event in patch.events]
     if events:

@@ -14,7 +14,14 @@ from sparseskin.messages.errors import MessageError
 from sparseskin.messages.skin import Skin
 from sparseskin.nodes.arguments import checked
 from sparseskin.nodes.errors import SolverError
-from sparseskin.nodes.numerics.arrays import LARGEST, Doubles, Floats, Indices, Mask, real_floats
+from sparseskin.nodes.numerics.arrays import (
+    LARGEST,
+    Doubles,
+    Floats,
+    Indices,
+    Mask,
+    real_floats,
+)
 from sparseskin.nodes.numerics.compiled import ready, use_compiled
 
 NEIGHBOURS = np.ones((3, 3), dtype=np.bool_)
@@ -107,7 +114,9 @@ class ContactFinder:
         elif skin.pitch_m is not None:
             flat = 1e3 * skin.pitch_m * self._places[::-1]
             self._places = np.concatenate([self._places, flat, np.zeros_like(flat[:1])])
-        self._components: Callable[..., tuple[Indices, Indices, Doubles, Indices, int]] = components
+        self._components: Callable[
+            ..., tuple[Indices, Indices, Doubles, Indices, int]
+        ] = components
         if use_compiled(fast):
             from sparseskin.nodes.numerics import kernels  # needs numba
 
@@ -147,7 +156,9 @@ class ContactFinder:
             return None
 
         forces = np.ascontiguousarray(forces, dtype=np.float32)
-        variances = self._alike if sd is None else np.square(sd, dtype=np.float32).reshape(-1)
+        variances = (
+            self._alike if sd is None else np.square(sd, dtype=np.float32).reshape(-1)
+        )
         index, labels, sums, overlap, n_above = self._components(
             forces,
             np.float32(limits.low * unit),
@@ -205,7 +216,9 @@ def _contacts_among(
     `sums` and `overlap` as of `components`; `waited`: the candidates of the frame before.
     """
     # Each contact of the frame before goes on in the component that it overlaps with most.
-    continued = {column.index(max(column)) for column in overlap.T.tolist() if any(column)}
+    continued = {
+        column.index(max(column)) for column in overlap.T.tolist() if any(column)
+    }
     contacts = []
     candidates = []
     for component, (total, area, peak) in enumerate(sums[:3].T.tolist()):
@@ -237,7 +250,9 @@ def components(
     component: total, area, peak, k centres, variance of the total, and by the delta method those of
     the centres; the numbers of taxels in each region, (n, n_regions); and that of all above `low`.
     """
-    from scipy import ndimage  # half the time of the start of a process: only where it is used
+    from scipy import (
+        ndimage,
+    )  # half the time of the start of a process: only where it is used
 
     grid, n = ndimage.label(forces > low, NEIGHBOURS)
     index = np.flatnonzero(grid)
@@ -267,7 +282,9 @@ def components(
 
     # Region 0 is none.
     p = n_regions + 1
-    overlap = np.bincount(labels * p + regions[index], minlength=n * p).reshape(n, p)[:, 1:]
+    overlap = np.bincount(labels * p + regions[index], minlength=n * p).reshape(n, p)[
+        :, 1:
+    ]
     regions.fill(0)
     regions[index] = labels + 1
     sums = np.stack([total, area, peak, *means, variance, *spread])
@@ -354,4 +371,6 @@ def find_contacts(
     taxels = np.flatnonzero(finder.regions)
     labels = finder.regions[taxels].astype(np.intp) - 1
     centres = np.ascontiguousarray(sums[3:5].T), np.ascontiguousarray(sums[6:].T)
-    return Features(total, total_sd, peak, *centres, n_taxels.astype(np.intp), taxels, labels)
+    return Features(
+        total, total_sd, peak, *centres, n_taxels.astype(np.intp), taxels, labels
+    )

@@ -65,7 +65,9 @@ class IdleWatch:
     ) -> None:
         self._exists = skin.skin.exists
         self._noise = (
-            NoiseModel(skin.f_max, skin.sigma_mid, skin.sigma_end) if skin.sigma_end else None
+            NoiseModel(skin.f_max, skin.sigma_mid, skin.sigma_end)
+            if skin.sigma_end
+            else None
         )
         self._subsets = {phi.fingerprint: k for k, phi in enumerate(phis)}
         self._tile_of, n_tiles = _tiles(self._exists)
@@ -73,11 +75,18 @@ class IdleWatch:
         self._projections = []
         self._energy = []
         for phi in phis:
-            columns = [phi.forward((self._tile_of == k).astype(np.float32)) for k in range(n_tiles)]
+            columns = [
+                phi.forward((self._tile_of == k).astype(np.float32))
+                for k in range(n_tiles)
+            ]
             matrix = np.stack(columns, axis=1)
             norms = np.linalg.norm(matrix, axis=0)
-            self._energy.append(float(np.sum(norms**2) / self._sizes.sum() * phi.n / phi.m))
-            self._projections.append(matrix / np.where(norms > 0, norms, 1).astype(np.float32))
+            self._energy.append(
+                float(np.sum(norms**2) / self._sizes.sum() * phi.n / phi.m)
+            )
+            self._projections.append(
+                matrix / np.where(norms > 0, norms, 1).astype(np.float32)
+            )
         self._ratio = min(1.0, phis[0].m / phis[0].n)
         one = NormalDist().inv_cdf
         self._z_total = one(1 - false_alarms / 3)
@@ -94,7 +103,9 @@ class IdleWatch:
         self._spread = np.ones(n_patches)
         self._local = np.ones((n_patches, n_tiles))
         self._struck = np.zeros(n_patches, np.bool_)
-        self._age = np.arange(n_patches) % REFRESH  # they are solved in different frames
+        self._age = (
+            np.arange(n_patches) % REFRESH
+        )  # they are solved in different frames
         self.idle = np.zeros(n_patches, np.bool_)
 
     def to_solve(self, fingerprint: str, y: Floats) -> Mask:
@@ -125,7 +136,9 @@ class IdleWatch:
         self._restart(ends)
         learns = ~self.idle & ~self._struck
         if learns.any():
-            step = (y[learns] - self._reference[subset, learns]) / (n[learns] + 1)[:, None]
+            step = (y[learns] - self._reference[subset, learns]) / (n[learns] + 1)[
+                :, None
+            ]
             self._reference[subset, learns] += step
             n[learns] += 1
         self._age += 1
@@ -164,7 +177,9 @@ class IdleWatch:
         dof = m / self._spread
         normal = (np.cbrt(total / m) - (1 - 2 / (9 * dof))) / np.sqrt(2 / (9 * dof))
         z = d @ self._projections[subset]
-        variances = energy * (self._ratio * self._local.T + (1 - self._ratio) * self._mean).T
+        variances = (
+            energy * (self._ratio * self._local.T + (1 - self._ratio) * self._mean).T
+        )
         largest = (z * z / (variances * widened[:, None])).max(axis=1)
         compared = self._n[subset] > 0
         self._n_slow += compared
@@ -189,7 +204,9 @@ class IdleWatch:
             f > end, np.square(self._noise.sigma(f), dtype=np.float64), CLIPPED * end**2
         )
         self._mean[patch] = mean = float(sigma2.mean())
-        self._spread[patch] = 1 + self._ratio * (float(np.mean(sigma2**2)) / mean**2 - 1)
+        self._spread[patch] = 1 + self._ratio * (
+            float(np.mean(sigma2**2)) / mean**2 - 1
+        )
         tiles = np.bincount(self._tile_of, weights=sigma2, minlength=len(self._sizes))
         self._local[patch] = tiles / np.maximum(self._sizes, 1)
         self._known[patch] = True

@@ -62,7 +62,9 @@ def reconstruction_warnings(
         )
     if not solver_fact(cls, "uses_basis") and basis != "haar":
         advised = "haar, or a solver that uses it"
-        warnings.append(f"basis = {basis}: {solver} does not use it; advised: {advised}")
+        warnings.append(
+            f"basis = {basis}: {solver} does not use it; advised: {advised}"
+        )
     if solver_fact(cls, "is_l1") and basis == "identity" and m < n:
         warnings.append(
             f"basis = identity with m = {m} of n = {n}: reconstructs no more than {m // 4} pressed "

@@ -33,7 +33,11 @@ from sparseskin.nodes.node import Context, Node
 from sparseskin.nodes.numerics.arrays import Floats
 from sparseskin.nodes.numerics.warm_up import compile_loops
 from sparseskin.nodes.reconstructor.bases.base import make_basis
-from sparseskin.nodes.reconstructor.solvers.base import make_solver, solver_class, solver_fact
+from sparseskin.nodes.reconstructor.solvers.base import (
+    make_solver,
+    solver_class,
+    solver_fact,
+)
 
 from .patch import Patch
 from .patch_log import PatchLog
@@ -87,7 +91,8 @@ class Reconstructor(Node[ReconstructorSettings]):
     @classmethod
     def inputs(cls, settings: ReconstructorSettings) -> tuple[str, ...]:
         return tuple(
-            topic_of(settings.patch, cls.schema) for cls in (SkinState, PhiState, Measurements)
+            topic_of(settings.patch, cls.schema)
+            for cls in (SkinState, PhiState, Measurements)
         )
 
     @classmethod
@@ -98,7 +103,9 @@ class Reconstructor(Node[ReconstructorSettings]):
         return tuple(topic_of(settings.patch, cls.schema) for cls in classes)
 
     @classmethod
-    def check_inputs(cls, settings: ReconstructorSettings, facts: Mapping[str, Any]) -> None:
+    def check_inputs(
+        cls, settings: ReconstructorSettings, facts: Mapping[str, Any]
+    ) -> None:
         kind = facts.get(topic_of(settings.patch, PhiState.schema))
         if kind is not None:
             settings.check_phi(kind)
@@ -146,7 +153,9 @@ class Reconstructor(Node[ReconstructorSettings]):
         if self._skin is None or self._announced is None:
             return ()
         try:
-            return (self._set_up(self._skin, self._announced, self.context.clock.now_ns()),)
+            return (
+                self._set_up(self._skin, self._announced, self.context.clock.now_ns()),
+            )
         except Exception:  # a user's own solver may raise anything
             self.settings = previous
             raise
@@ -162,7 +171,11 @@ class Reconstructor(Node[ReconstructorSettings]):
             state["idle"] = self._n_idle
         if not self._uses_basis:
             state["basis"] = None
-        return {**in_force, "preset": preset if in_force == PRESETS[preset] else "", **state}
+        return {
+            **in_force,
+            "preset": preset if in_force == PRESETS[preset] else "",
+            **state,
+        }
 
     def status(self) -> str:
         in_force = self.settings.chosen()
@@ -176,7 +189,9 @@ class Reconstructor(Node[ReconstructorSettings]):
             patches = f"{len(self._patches)} patches"
             if self._n_idle:
                 patches += f", {self._n_idle} idle"
-        return "; ".join(filter(None, (solver, self._left_out, patches, self._touched())))
+        return "; ".join(
+            filter(None, (solver, self._left_out, patches, self._touched()))
+        )
 
     def _touched(self) -> str:
         """Contacts of the newest frame in words; "" if there are none."""
@@ -188,12 +203,16 @@ class Reconstructor(Node[ReconstructorSettings]):
     @property
     def _uses_basis(self) -> bool:
         """True if the solver uses the basis."""
-        return bool(solver_fact(solver_class(self.settings.chosen()["solver"]), "uses_basis"))
+        return bool(
+            solver_fact(solver_class(self.settings.chosen()["solver"]), "uses_basis")
+        )
 
     @property
     def _left_out(self) -> str:
         """Measurements that are excluded now."""
-        texts = {n: p.faults.text for n, p in zip(self._names, self._patches, strict=True)}
+        texts = {
+            n: p.faults.text for n, p in zip(self._names, self._patches, strict=True)
+        }
         if len(set(texts.values())) == 1:
             return texts[self._names[0]]
         return "; ".join(f"{name}: {text}" for name, text in texts.items() if text)
@@ -202,7 +221,9 @@ class Reconstructor(Node[ReconstructorSettings]):
     def _n_idle(self) -> int:
         return 0 if self._idle is None else int(np.count_nonzero(self._idle.idle))
 
-    def _set_up(self, state: SkinState, announced: PhiState, stamp_ns: int) -> SolverState:
+    def _set_up(
+        self, state: SkinState, announced: PhiState, stamp_ns: int
+    ) -> SolverState:
         """Make Phi and solvers for a skin; return the message that announces them."""
         in_force = self.settings.chosen()
         subsets = phis_to_invert(self.settings, state, announced)
@@ -231,8 +252,12 @@ class Reconstructor(Node[ReconstructorSettings]):
         solver = {"solver": in_force["solver"], **solver}
         if not self._uses_basis:
             solver["basis"] = ""
-        preset = self.settings.preset if in_force == PRESETS[self.settings.preset] else ""
-        return SolverState(stamp_ns=stamp_ns, patch=self.settings.patch, preset=preset, **solver)
+        preset = (
+            self.settings.preset if in_force == PRESETS[self.settings.preset] else ""
+        )
+        return SolverState(
+            stamp_ns=stamp_ns, patch=self.settings.patch, preset=preset, **solver
+        )
 
     def _state_noise(self) -> None:
         """Hand the noise that the skin states to the solvers."""
@@ -245,11 +270,15 @@ class Reconstructor(Node[ReconstructorSettings]):
         if not self._subsets:
             raise RefusedError(f"{measurements.topic}: skin or Phi is not known yet")
         if measurements.names != self.settings.patches:
-            raise RefusedError(f"{measurements.topic}: of other patches than this node serves")
+            raise RefusedError(
+                f"{measurements.topic}: of other patches than this node serves"
+            )
         phi = self._subsets.get(measurements.phi)
         if phi is None:
             subset, *other_subsets = self._subsets
-            rotating = f" and {len(other_subsets)} other row subsets" if other_subsets else ""
+            rotating = (
+                f" and {len(other_subsets)} other row subsets" if other_subsets else ""
+            )
             raise RefusedError(
                 f"{measurements.topic}: Phi mismatch: made by Phi {measurements.phi}, "
                 f"this reconstructor inverts Phi {subset}{rotating}"
@@ -289,7 +318,9 @@ class Reconstructor(Node[ReconstructorSettings]):
         follow(phi, places=measurements.places, nodes=measurements.nodes)
 
         all_y = measurements.y
-        if all_y.flags.writeable:  # of a sender in this process, which may write to it again
+        if (
+            all_y.flags.writeable
+        ):  # of a sender in this process, which may write to it again
             all_y = all_y.copy()
 
         sent = list(range(len(patches)))
@@ -313,7 +344,11 @@ class Reconstructor(Node[ReconstructorSettings]):
 
     def _rest(self, measurements: Measurements) -> None:
         """Keep the last forces of the patches whose measurements were not sent."""
-        resting = [p for p, same in zip(self._patches, measurements.unchanged, strict=True) if same]
+        resting = [
+            p
+            for p, same in zip(self._patches, measurements.unchanged, strict=True)
+            if same
+        ]
         for patch in resting:
             if patch.solved is None:
                 raise RefusedError(
@@ -345,11 +380,17 @@ class Reconstructor(Node[ReconstructorSettings]):
         self, measurements: Measurements, unchanged: list[bool], done_ns: int
     ) -> Reconstruction:
         """Solutions of the patches, without the forces of those that are unchanged."""
-        solutions = [patch.solved for patch in self._patches if patch.solved is not None]
+        solutions = [
+            patch.solved for patch in self._patches if patch.solved is not None
+        ]
         columns = zip(*solutions, strict=True)
         all_forces, sds, iterations, residuals, solve_ns, errors, _, reasons = columns
 
-        changed = [forces for forces, same in zip(all_forces, unchanged, strict=True) if not same]
+        changed = [
+            forces
+            for forces, same in zip(all_forces, unchanged, strict=True)
+            if not same
+        ]
         forces = all_forces[0][np.newaxis][:0]
         if changed:
             forces = _stacked(changed)
@@ -375,7 +416,10 @@ class Reconstructor(Node[ReconstructorSettings]):
             "unchanged": tuple(unchanged),
         }
         if self._first is None:
-            of_node: dict[str, Any] = {"patch": self.settings.patch, "names": self.settings.patches}
+            of_node: dict[str, Any] = {
+                "patch": self.settings.patch,
+                "names": self.settings.patches,
+            }
             self._first = Reconstruction(**of_node, **fields)
         return self._first.following(**fields)
 
@@ -383,7 +427,9 @@ class Reconstructor(Node[ReconstructorSettings]):
         """Contacts of the frame that was reconstructed, of all patches."""
         stamp_ns = measurements.stamp_ns
         followed = [patch.contacts(stamp_ns) for patch in self._patches]
-        trusted = tuple([not p.solved.reason for p in self._patches if p.solved is not None])
+        trusted = tuple(
+            [not p.solved.reason for p in self._patches if p.solved is not None]
+        )
         done_ns = self.context.clock.now_ns()
         fields = self._joined(followed) if any(followed) else {}
         self._touching = self._untouched.at(stamp_ns, done_ns, trusted, **fields)
@@ -398,7 +444,8 @@ def _stacked(arrays: Sequence[Floats]) -> Floats:
 def _is_alike(message: Message, before: Message) -> bool:
     """True if a state differs from the one of the same run before in its rate or time at most."""
     return all(
-        name in ("stamp_ns", "seq", "rate_hz") or np.array_equal(value, getattr(before, name))
+        name in ("stamp_ns", "seq", "rate_hz")
+        or np.array_equal(value, getattr(before, name))
         for name, value in vars(message).items()
     )
 
@@ -410,7 +457,9 @@ def _rehearse(settings: ReconstructorSettings) -> None:
     if any(":" in name for name in names):
         return
     phi = make_phi("sbhe", n=64, m=21, seed=0)
-    with contextlib.suppress(SparseskinError):  # settings for another size; `_set_up` reports them
+    with contextlib.suppress(
+        SparseskinError
+    ):  # settings for another size; `_set_up` reports them
         solver = make_solver(
             names[0], phi, make_basis(names[1], 8, 8), fast=settings.fast, **in_force
         )
@@ -432,11 +481,15 @@ def phis_to_invert(
     """
     n = state.skin.n_taxels
     if announced.n != n:
-        raise RefusedError(f"{announced.topic}: for {announced.n} taxels; the skin has {n}")
+        raise RefusedError(
+            f"{announced.topic}: for {announced.n} taxels; the skin has {n}"
+        )
     try:
         settings.check_phi(announced.kind)
         kind = settings.kind_of(announced.kind)
-        parameters = {name: getattr(announced, name) for name in ("m", "seed", "block", "rule")}
+        parameters = {
+            name: getattr(announced, name) for name in ("m", "seed", "block", "rule")
+        }
         of_skin = state.skin, state.sigma_end, state.clips_noise
         subsets = phis_for(*of_skin, announced.rows, kind=kind, **parameters)
     except (PhiError, SettingsError) as error:

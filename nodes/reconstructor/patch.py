@@ -64,7 +64,9 @@ class Solved(NamedTuple):
 class Patch:
     """Reconstructs the frames of one patch: `read`, `solve` and `check` for each."""
 
-    def __init__(self, settings: ReconstructorSettings, log: Callable[[str], None]) -> None:
+    def __init__(
+        self, settings: ReconstructorSettings, log: Callable[[str], None]
+    ) -> None:
         self.settings = settings
         self.log = log
         self.solver: Solver | None = None
@@ -107,7 +109,9 @@ class Patch:
         phi = subsets[0]
         chosen = dict(settings.chosen())
         options = {k: v for k, v in chosen.items() if k not in ("solver", "basis")}
-        warnings = reconstruction_warnings(chosen["solver"], chosen["basis"], phi.n, phi.m, options)
+        warnings = reconstruction_warnings(
+            chosen["solver"], chosen["basis"], phi.n, phi.m, options
+        )
         options = options_for_range(chosen["solver"], options, skin.f_max, phi)
         basis = make_basis(chosen["basis"], skin.n_rows, skin.n_cols)
         cls = solver_class(chosen["solver"])
@@ -125,7 +129,9 @@ class Patch:
             self.log(warning)
         tiles = solver if isinstance(solver, CountsTiles) else None
         budget_ms = settings.budget_ms
-        follows = live and "iterations" not in options and bool(getattr(solver, "paces", ()))
+        follows = (
+            live and "iterations" not in options and bool(getattr(solver, "paces", ()))
+        )
         if budget_ms is None and follows and state.rate_hz:
             budget_ms = 1e3 * SHARE / state.rate_hz / settings.n_patches
         most_steps = sys.maxsize
@@ -159,7 +165,9 @@ class Patch:
         self._watch_faults(settings, state, solver.mask)
         if settings.uncertainty:
             table = solver_fact(cls, "calibrated")
-            self._uncertainty = Uncertainty(solver.mask, phi.ratio, table, announced.rows, phi.rule)
+            self._uncertainty = Uncertainty(
+                solver.mask, phi.ratio, table, announced.rows, phi.rule
+            )
         if settings.contacts and not (self._tracker and self._tracker.fits(state)):
             from .contact_tracks import ContactTracker
 
@@ -184,7 +192,9 @@ class Patch:
             stated |= {"frame_tiles": frame_tiles, "step_tiles": step_tiles}
         return stated
 
-    def _watch_faults(self, settings: ReconstructorSettings, skin: SkinState, mask: Mask) -> None:
+    def _watch_faults(
+        self, settings: ReconstructorSettings, skin: SkinState, mask: Mask
+    ) -> None:
         """Watch the frames of a skin from now on."""
         self.faults = FaultWatch(
             Noise(skin.f_max, skin.least_sd),
@@ -269,7 +279,13 @@ class Patch:
                 sd[self._missing] = self._f_max  # nothing is known of them
         self._found = verdict.reason
         reason = self._reason(verdict.reason)
-        numbers = self._n_steps, residual, self._solve_ns, self._error, self._common_error
+        numbers = (
+            self._n_steps,
+            residual,
+            self._solve_ns,
+            self._error,
+            self._common_error,
+        )
         self.solved = Solved(verdict.forces, sd, *numbers, reason)
         return self.solved
 

@@ -35,7 +35,12 @@ _NO_OPTIONS = (
 #: "sbhe" phi with orthonormal rows "paper"; lambda_n is its 0.1 on rows of +1 and -1. "skin":
 #: the most accurate one; it estimates noise and threshold from the measurements.
 PRESETS: dict[str, dict[str, Any]] = {
-    "paper": {"solver": "fista", "basis": "haar", "iterations": 30, "lambda_n": 0.003125},
+    "paper": {
+        "solver": "fista",
+        "basis": "haar",
+        "iterations": 30,
+        "lambda_n": 0.003125,
+    },
     "skin": {"solver": "skin", "basis": "haar"},
 }
 
@@ -112,7 +117,9 @@ class ReconstructorSettings(PatchesSettings):
     uncertainty: bool = setting(
         False, "publish a standard deviation with each force; twice as many bytes"
     )
-    contacts: bool = setting(False, "publish the contacts of each frame, followed by their ids")
+    contacts: bool = setting(
+        False, "publish the contacts of each frame, followed by their ids"
+    )
     contact_force: float = setting(
         0.0,
         "least total force of a contact, in the skin's unit; it ends below half of that",
@@ -121,7 +128,11 @@ class ReconstructorSettings(PatchesSettings):
         live=True,
     )
     contact_area: int = setting(
-        1, "least number of taxels of a contact when it begins", low=1, high=2**20, live=True
+        1,
+        "least number of taxels of a contact when it begins",
+        low=1,
+        high=2**20,
+        live=True,
     )
     contact_low: float = setting(
         Limits.low,
@@ -180,7 +191,9 @@ class ReconstructorSettings(PatchesSettings):
     def __post_init__(self) -> None:
         super().__post_init__()
         if self.uncertainty and (self.n_patches > 1 or self.skip_idle):
-            raise SettingsError("uncertainty: is not available with several patches or skip_idle")
+            raise SettingsError(
+                "uncertainty: is not available with several patches or skip_idle"
+            )
         if self.contact_high < self.contact_low:
             raise SettingsError(
                 f"contact_high: {self.contact_high:g} is below contact_low = {self.contact_low:g}"
@@ -218,13 +231,19 @@ class ReconstructorSettings(PatchesSettings):
                 if solver_fact(solver_class(solver_name), "calibrated")
             ]
             fault = f"is not available with solver {name}, whose error is not known"
-            raise SettingsError(f"uncertainty: {fault}; allowed: {', '.join(calibrated)}")
+            raise SettingsError(
+                f"uncertainty: {fault}; allowed: {', '.join(calibrated)}"
+            )
 
     def _check_known_to(self, name: str, solver: Callable[..., Any]) -> None:
         parameters = inspect.signature(solver).parameters
         takes_any = any(p.kind is p.VAR_KEYWORD for p in parameters.values())
         for key in ("iterations", "lambda_n"):
-            if getattr(self, key) is not None and key not in parameters and not takes_any:
+            if (
+                getattr(self, key) is not None
+                and key not in parameters
+                and not takes_any
+            ):
                 raise SettingsError(
                     f"{key}: solver {name} has none; allowed: to leave it out, "
                     "or a solver that has it (preset paper)"
@@ -236,11 +255,15 @@ class ReconstructorSettings(PatchesSettings):
         ]
         for key, value in (self.options or {}).items():
             if key in ("iterations", "lambda_n"):
-                raise SettingsError(f"options.{key}: is a setting of its own; allowed: {key}")
+                raise SettingsError(
+                    f"options.{key}: is a setting of its own; allowed: {key}"
+                )
             if key in _NO_OPTIONS or (key not in options and not takes_any):
                 none = "; it has none beside the settings iterations and lambda_n"
                 allowed = nearest_of(key, options) if options else none
-                raise SettingsError(f"options.{key}: is no option of solver {name}{allowed}")
+                raise SettingsError(
+                    f"options.{key}: is no option of solver {name}{allowed}"
+                )
             if not (isinstance(value, str | bool) or is_real(value)):
                 raise SettingsError(
                     f"options.{key}: {value!r} is not allowed; allowed: a finite number, a text, "
@@ -249,8 +272,12 @@ class ReconstructorSettings(PatchesSettings):
 
     def changed(self, changes: Mapping[str, Any]) -> Self:
         """As in `Settings`; a preset replaces what was stated in place of an earlier one's."""
-        of_preset = dict.fromkeys(("solver", "basis", "iterations", "lambda_n", "options"))
-        return super().changed({**of_preset, **changes} if "preset" in changes else changes)
+        of_preset = dict.fromkeys(
+            ("solver", "basis", "iterations", "lambda_n", "options")
+        )
+        return super().changed(
+            {**of_preset, **changes} if "preset" in changes else changes
+        )
 
     def check_phi(self, kind: str) -> None:
         """Check that measurements by an announced kind of phi can be reconstructed.
@@ -270,7 +297,9 @@ class ReconstructorSettings(PatchesSettings):
             with naming("solver"):
                 check_reads(solver_name, solver, kind, phi)
             if self.uncertainty and phi_fact(phi, "choice"):
-                fault = f"is not available with phi {kind}, whose rows change each frame"
+                fault = (
+                    f"is not available with phi {kind}, whose rows change each frame"
+                )
                 raise SettingsError(f"uncertainty: {fault}; allowed: sbhe")
 
     def kind_of(self, announced: str) -> str:
@@ -279,14 +308,23 @@ class ReconstructorSettings(PatchesSettings):
 
     def chosen(self) -> dict[str, Any]:
         """Return the preset with the settings that are stated in place of its own."""
-        stated = {key: getattr(self, key) for key in ("solver", "basis", "iterations", "lambda_n")}
+        stated = {
+            key: getattr(self, key)
+            for key in ("solver", "basis", "iterations", "lambda_n")
+        }
         preset = PRESETS[self.preset]
         if self.solver not in (None, preset["solver"]):
             # The numbers of a preset belong to its solver.
             preset = {"basis": preset["basis"]}
-        return (self.options or {}) | preset | {k: v for k, v in stated.items() if v is not None}
+        return (
+            (self.options or {})
+            | preset
+            | {k: v for k, v in stated.items() if v is not None}
+        )
 
 
-def alike_but_for_contacts(one: ReconstructorSettings, other: ReconstructorSettings) -> bool:
+def alike_but_for_contacts(
+    one: ReconstructorSettings, other: ReconstructorSettings
+) -> bool:
     """True if settings differ in `CONTACT_KEYS` at most."""
     return replace(one, **{key: getattr(other, key) for key in CONTACT_KEYS}) == other

@@ -17,7 +17,12 @@ from sparseskin.messages import Message
 from sparseskin.messages.wire import SCHEMAS
 from sparseskin.nodes.errors import SettingsError
 from sparseskin.nodes.node import Context, Node
-from sparseskin.nodes.recorder.bag.format import FILE_SUFFIX, PART_SUFFIX, BagError, check_new_bag
+from sparseskin.nodes.recorder.bag.format import (
+    FILE_SUFFIX,
+    PART_SUFFIX,
+    BagError,
+    check_new_bag,
+)
 from sparseskin.nodes.recorder.bag.writer import BagWriter
 from sparseskin.nodes.settings import Settings, setting
 
@@ -65,7 +70,9 @@ class Recorder(Node[RecorderSettings]):
         return settings.topics
 
     @classmethod
-    def values_again(cls, settings: RecorderSettings, n_restarts: int) -> dict[str, Any]:
+    def values_again(
+        cls, settings: RecorderSettings, n_restarts: int
+    ) -> dict[str, Any]:
         # The file of the previous run is kept.
         out = Path(settings.out)
         stem = out.stem.removesuffix(f".restart{n_restarts - 1}")
@@ -118,7 +125,9 @@ class Recorder(Node[RecorderSettings]):
             metadata = metadata_of(self.settings.launch, self.settings.source)
             # Offline, where a recording is complete or not at all, chunks are as large as they may.
             every_s = FLUSH_EVERY_S if self.context.live else math.inf
-            self._writer = BagWriter(Path(self.settings.out), metadata, flush_every_s=every_s)
+            self._writer = BagWriter(
+                Path(self.settings.out), metadata, flush_every_s=every_s
+            )
         self._writer.record(message, self.context.clock.now_ns())
 
     def _guard(self, action: Callable[[], None]) -> None:

@@ -33,10 +33,14 @@ class ClockTuning:
     # `n_periods` of them.
     first_ns: float = 62.5e6
     period_ns: float = 5e8
-    n_periods: int = 64  # most periods that are kept: 32 s, in which a quartz hardly drifts
+    n_periods: int = (
+        64  # most periods that are kept: 32 s, in which a quartz hardly drifts
+    )
     settle_ns: float = 2e9  # length of a line before it is used
     settle_frames: int = 20  # and its number of frames
-    doubt_ns: float = 1e10  # length of a line whose drift is not believed before that is logged
+    doubt_ns: float = (
+        1e10  # length of a line whose drift is not believed before that is logged
+    )
     #: Largest drift that is believed: the RC oscillator of an ATmega328P is within 10 % (data
     #: sheet, calibrated internal oscillator).
     most_drift: float = 0.1
@@ -90,7 +94,11 @@ class DeviceClock:
     """
 
     def __init__(
-        self, name: str, log: Callable[[str], object], tick_ns: float = 1.0, wrap: int | None = None
+        self,
+        name: str,
+        log: Callable[[str], object],
+        tick_ns: float = 1.0,
+        wrap: int | None = None,
     ) -> None:
         self._name = name
         self._log = log
@@ -178,12 +186,16 @@ class DeviceClock:
         self._period_ns = TUNING.first_ns
         self._least = (0.0, 0.0)
         self._points: list[Point] = []
-        self._sampled: deque[tuple[float, float, float]] = deque(maxlen=TUNING.n_periods)
+        self._sampled: deque[tuple[float, float, float]] = deque(
+            maxlen=TUNING.n_periods
+        )
 
     def _restart(self, stamp: int, arrived_ns: int) -> None:
         if self._is_settled:
             self._n_restarts += 1
-            self._log(f"{self._name}: its clock was set or started again; it is mapped anew")
+            self._log(
+                f"{self._name}: its clock was set or started again; it is mapped anew"
+            )
         self._begin(stamp, arrived_ns)
 
     def _advance(self, stamp: int, arrived_ns: int) -> bool:
@@ -191,7 +203,9 @@ class DeviceClock:
         y = float(arrived_ns - self._origin_ns)
 
         if not self._n or y - self._y > TUNING.n_periods * TUNING.period_ns:
-            self._begin(stamp, arrived_ns)  # a drift does not last for a silence as long
+            self._begin(
+                stamp, arrived_ns
+            )  # a drift does not last for a silence as long
             return False
 
         ahead = stamp - self._stamp
@@ -264,5 +278,7 @@ class DeviceClock:
 
         if not is_good and self._y >= TUNING.doubt_ns and not self._is_doubted:
             self._is_doubted = True
-            fault = f"its stamps do not run as time does, within {TUNING.most_drift:.0%}"
+            fault = (
+                f"its stamps do not run as time does, within {TUNING.most_drift:.0%}"
+            )
             self._log(f"{self._name}: {fault}; frames have the time of their arrival")

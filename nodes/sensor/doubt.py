@@ -80,7 +80,9 @@ class Doubt:
         self._is_new = False
         return self.line
 
-    def take(self, forces: Floats, f_min: float = 0.0, noise: float | None = None) -> str:
+    def take(
+        self, forces: Floats, f_min: float = 0.0, noise: float | None = None
+    ) -> str:
         """Reason of a frame as of `look`, before it is clipped to f_min and the skin's f_max; noise
         as of `Clipped.add`.
         """
@@ -115,7 +117,9 @@ class Doubt:
         return f"{counts}{ADD}{answers} them"
 
 
-def line_on_sign(described: SkinDescription, frames: npt.NDArray[Any], is_inverted: bool) -> str:
+def line_on_sign(
+    described: SkinDescription, frames: npt.NDArray[Any], is_inverted: bool
+) -> str:
     """Line on the sign of raw frames, (n, n_rows, n_cols), of a skin that was calibrated without a
     press, as `Doubt.line`.
     """

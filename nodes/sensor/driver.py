@@ -18,7 +18,13 @@ from sparseskin.nodes.lookup import find_callable, one_line
 from sparseskin.nodes.numerics.arrays import Floats
 
 from .device_clock import DeviceClock
-from .layout.arrangement import Arrangement, Axis, arrange, check_grid, check_stated_shape
+from .layout.arrangement import (
+    Arrangement,
+    Axis,
+    arrange,
+    check_grid,
+    check_stated_shape,
+)
 from .layout.checks import ADD, COUNTS, NAN_HINT, check_number, check_unit, shown
 from .source import Address, LiveSource
 
@@ -62,7 +68,9 @@ class DriverSource(LiveSource):
         self._skin = self.skin
         self.clock = DeviceClock(self.name, self._lines.append)
         try:
-            check_stated_shape(*self.skin.shape, layout.n_rows, layout.n_cols, self._target)
+            check_stated_shape(
+                *self.skin.shape, layout.n_rows, layout.n_cols, self._target
+            )
         except SourceError:
             self.close()
             raise
@@ -81,7 +89,9 @@ class DriverSource(LiveSource):
             n_frames = getattr(driver, "n_frames", None)
 
         if delivers not in (None, "truth", "taxels"):
-            raise SourceError(f"{target}: delivers = {shown(delivers)}; allowed are truth, taxels")
+            raise SourceError(
+                f"{target}: delivers = {shown(delivers)}; allowed are truth, taxels"
+            )
         if n_frames is not None and not is_whole(n_frames, 0):
             expected = "expected a whole number, or None if endless"
             raise SourceError(f"{target}: n_frames = {shown(n_frames)}; {expected}")
@@ -140,7 +150,9 @@ class DriverSource(LiveSource):
         """Yield the frames of the driver, each checked, and close it in the end."""
         target = self._target
         if self._is_one_shot:
-            raise SourceError(f"{target}: is a generator and was read before; open it anew")
+            raise SourceError(
+                f"{target}: is a generator and was read before; open it anew"
+            )
         with _running(target):
             # An iterator of its own, as a generator is, cannot be read twice.
             iterator = iter(self._driver)
@@ -165,7 +177,9 @@ class DriverSource(LiveSource):
                 previous_ns = stamp_ns
                 self.stamp = stamp_ns
                 if passed_ns > INT64_MAX:
-                    raise SourceError(f"{where}: stamp_ns is more than 2**63 ns after the first")
+                    raise SourceError(
+                        f"{where}: stamp_ns is more than 2**63 ns after the first"
+                    )
                 yield passed_ns, self._checked_forces(forces, where)
         finally:
             with _running(target):
@@ -180,7 +194,9 @@ class DriverSource(LiveSource):
             raise SourceError(f"{where}: {fault}") from error
         if array.dtype.kind not in "iuf":
             fault = f"forces have dtype {shown(array.dtype)}"
-            raise SourceError(f"{where}: {fault}; allowed are integers and floating point")
+            raise SourceError(
+                f"{where}: {fault}; allowed are integers and floating point"
+            )
         # Counts of a converter would be read as newtons.
         if self._is_in_newtons and array.dtype.kind in "iu" and self._skin is None:
             fault = "whole numbers, of which the driver states neither unit nor range"
@@ -239,13 +255,17 @@ class DriverSource(LiveSource):
         target = self._target
         if not isinstance(skin, Skin):
             expected = "expected sparseskin.nodes.sensor.source.Skin"
-            raise SourceError(f"{target}: its skin is {type(skin).__name__}; {expected}")
+            raise SourceError(
+                f"{target}: its skin is {type(skin).__name__}; {expected}"
+            )
         check_grid(skin.n_rows, skin.n_cols, target)
         for key in ("f_max", "unit"):
             setting = getattr(self._layout, key)
             value = getattr(skin, key)
             if setting is not None and setting != value:
-                fault = f"{key} = {setting} is stated, but the driver's skin has {value}"
+                fault = (
+                    f"{key} = {setting} is stated, but the driver's skin has {value}"
+                )
                 raise SourceError(f"{target}: {fault}")
         self._f_max = float(skin.f_max)
         return skin
@@ -271,7 +291,9 @@ def open_callable(address: Address) -> DriverSource:
     return DriverSource(address, driver)
 
 
-def _checked_pair(item: object, previous_ns: int | None, where: str) -> tuple[int, object]:
+def _checked_pair(
+    item: object, previous_ns: int | None, where: str
+) -> tuple[int, object]:
     """Stamp and forces of what a driver yielded. Raises SourceError unless the stamp is a whole
     number after the one before, or of a clock that has begun again.
     """

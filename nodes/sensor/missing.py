@@ -95,7 +95,11 @@ class MissingReadings:
     def state(self) -> dict[str, int]:
         """Counts for the state of the sensor."""
         n_masked = self._whole.n_taxels - self.skin.n_taxels
-        return {"missing": self.n_cells, "missing_now": self.n_now, "silent_taxels": n_masked}
+        return {
+            "missing": self.n_cells,
+            "missing_now": self.n_now,
+            "silent_taxels": n_masked,
+        }
 
     def report(self) -> dict[str, int]:
         """Counts for a summary; empty where no reading was missing."""
@@ -117,7 +121,9 @@ class MissingReadings:
                 part = f"{n_silent} of {self._whole.n_taxels} taxels"
                 self._lines.append(f"{part} give no number: masked until they do")
         elif n_silent < n_masked and stamp_ns - self._renewed_ns >= RENEWAL_NS:
-            self._lines.append(f"{n_masked - n_silent} masked taxels give numbers now: used")
+            self._lines.append(
+                f"{n_masked - n_silent} masked taxels give numbers now: used"
+            )
         else:
             return
 

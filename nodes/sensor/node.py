@@ -10,7 +10,15 @@ from typing import Any, ClassVar, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from sparseskin.messages import Calibration, Message, Reason, SkinState, Taxels, Truth, topic_of
+from sparseskin.messages import (
+    Calibration,
+    Message,
+    Reason,
+    SkinState,
+    Taxels,
+    Truth,
+    topic_of,
+)
 from sparseskin.nodes.errors import RefusedError, SettingsError, SourceError
 from sparseskin.nodes.node import Context, SourceNode, Tick
 from sparseskin.nodes.numerics.arrays import Floats
@@ -93,7 +101,9 @@ class Sensor(SourceNode[SensorSettings]):
 
         self._doubt: Doubt | None = None  # from the first frame on
         self._stated_rest = settings.tare is not None or settings.invert
-        self._described_changes = bool(self._described and self._described.changes_readings)
+        self._described_changes = bool(
+            self._described and self._described.changes_readings
+        )
         self._line = ""  # on rest and sign, as it was logged last
 
         self._noise = self._chosen_noise()
@@ -183,8 +193,12 @@ class Sensor(SourceNode[SensorSettings]):
             raise SettingsError(NO_TRUTH)
         if settings.invert != self.settings.invert:
             # Gains of presses have the sign that the presses showed.
-            if self._stage is None or (self._described and self._described.gains is not None):
-                raise SettingsError("invert: is of a sensor with a baseline, and without gains")
+            if self._stage is None or (
+                self._described and self._described.gains is not None
+            ):
+                raise SettingsError(
+                    "invert: is of a sensor with a baseline, and without gains"
+                )
             self._stage.invert()
 
         pace_changes = settings.rate_hz != self.settings.rate_hz
@@ -299,7 +313,10 @@ class Sensor(SourceNode[SensorSettings]):
 
     def _truth_of(self, stamp_ns: int, forces: Floats) -> Truth:
         settings = self.settings
-        if self._truth_message is None or forces.shape != self._truth_message.forces.shape:
+        if (
+            self._truth_message is None
+            or forces.shape != self._truth_message.forces.shape
+        ):
             self._truth_message = Truth(
                 patch=settings.patch,
                 names=settings.patches,
@@ -370,7 +387,9 @@ class Sensor(SourceNode[SensorSettings]):
         clipped = self._clipped()
         n_clipped = clipped["clipped"]
         now_ns = self.context.clock.now_ns()
-        is_time = not self._n_logged or now_ns - self._logged_ns >= LOG_S * 1_000_000_000
+        is_time = (
+            not self._n_logged or now_ns - self._logged_ns >= LOG_S * 1_000_000_000
+        )
         if n_clipped > 2 * self._n_logged and is_time:
             self._n_logged = n_clipped
             self._logged_ns = now_ns
@@ -453,7 +472,9 @@ class Sensor(SourceNode[SensorSettings]):
         if self._doubt is None:
             has_level = not self._stated_rest
             inverted = self.settings.invert
-            self._doubt = Doubt(self.skin, self._clips, has_level=has_level, is_inverted=inverted)
+            self._doubt = Doubt(
+                self.skin, self._clips, has_level=has_level, is_inverted=inverted
+            )
         reason = self._doubt.look(forces)
         self._note_stuck(self._doubt.stuck_cells)
         line = self._doubt.take_line()
@@ -473,7 +494,9 @@ class Sensor(SourceNode[SensorSettings]):
         names = [str(divmod(cell, self.skin.n_cols)) for cell in cells[:MOST_NAMED]]
         if len(cells) > MOST_NAMED:
             names.append("...")
-        self.context.log(f"stuck taxels, filled in by those beside them: {', '.join(names)}")
+        self.context.log(
+            f"stuck taxels, filled in by those beside them: {', '.join(names)}"
+        )
 
     def _say(self, line: str) -> None:
         """Log a line that names settings, for the end of the run, too."""
@@ -499,7 +522,9 @@ class Sensor(SourceNode[SensorSettings]):
             return None
         where = settings.skin or source.name
         if source.delivers == "truth":
-            raise SourceError(f"{where}: {source.name} delivers true forces, which need none")
+            raise SourceError(
+                f"{where}: {source.name} delivers true forces, which need none"
+            )
 
         description = self._described or of_skin(source.name, self._source_skin)
         description = description.on(self._source_skin, where)
@@ -513,7 +538,9 @@ class Sensor(SourceNode[SensorSettings]):
         self._drifts = description.changes_readings or bool(settings.tare)
         if settings.invert:
             description = description.inverted()
-        return Chain(description, self._drift_rate(), settings.tare or 0, self.context.log)
+        return Chain(
+            description, self._drift_rate(), settings.tare or 0, self.context.log
+        )
 
     def _drift_rate(self) -> float:
         if self.settings.drift is not None:
@@ -535,7 +562,9 @@ class Sensor(SourceNode[SensorSettings]):
     def _truth(self, truth: Floats) -> Floats:
         """True forces of each patch."""
         n_patches = self.settings.n_patches
-        if n_patches > 1 and truth.ndim == 2:  # a scene of one patch, which all then show
+        if (
+            n_patches > 1 and truth.ndim == 2
+        ):  # a scene of one patch, which all then show
             return np.repeat(truth[np.newaxis], n_patches, axis=0)
         return truth
 

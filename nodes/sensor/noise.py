@@ -67,11 +67,15 @@ class NoiseModel:
         allowed_sigma = f"0 to f_max = {self.f_max!r}, both included"
         if not (is_real(self.f_max, 0.0) and self.f_max > 0.0):
             allowed = "a finite number above 0"
-            raise SettingsError(f"noise model: f_max is {self.f_max!r}; allowed is {allowed}")
+            raise SettingsError(
+                f"noise model: f_max is {self.f_max!r}; allowed is {allowed}"
+            )
         for name in ("sigma_mid", "sigma_end"):
             sigma = getattr(self, name)
             if not is_real(sigma, 0.0, self.f_max):
-                raise SettingsError(f"noise model: {name} is {sigma!r}; allowed is {allowed_sigma}")
+                raise SettingsError(
+                    f"noise model: {name} is {sigma!r}; allowed is {allowed_sigma}"
+                )
 
     @classmethod
     def for_range(cls, f_max: float, times: float = 1.0) -> NoiseModel:

@@ -39,7 +39,9 @@ class PointSkins(Protocol):
 def point_skins() -> PointSkins:
     """The plug-in for skins of points. Raises SourceError if there is none."""
     if NAME not in offered(POINTS):
-        raise SourceError(f"skins of points need the plug-in {NAME}, which is not installed")
+        raise SourceError(
+            f"skins of points need the plug-in {NAME}, which is not installed"
+        )
     plugin: PointSkins = load(POINTS, NAME, SourceError)
     return plugin
 

@@ -40,7 +40,9 @@ class Rest:
         self._noise = MeasuredNoise()
         self._sum: Doubles = np.zeros(skin.shape)
         self._n_frames = 0  # of the sum
-        self._levels: Doubles = np.zeros(0)  # of the taxels at first, while they are lifted
+        self._levels: Doubles = np.zeros(
+            0
+        )  # of the taxels at first, while they are lifted
         self._is_first = True  # the first frames pass
         self.is_settled = False
 
@@ -61,7 +63,9 @@ class Rest:
         levels = f"{lowest:.2g} to {highest:.2g} {printable(self._skin.unit)}"
         part = f"{self._levels.size} of {self._skin.n_taxels}"
         observation = f"{part} taxels read {levels} at first, and may do so at rest"
-        answers = f"tare={TARE_FRAMES} if nothing touched them, tare=0 if these are forces"
+        answers = (
+            f"tare={TARE_FRAMES} if nothing touched them, tare=0 if these are forces"
+        )
         return f"{observation}{ADD}{answers}"
 
     def update(self, forces: Floats) -> bool:

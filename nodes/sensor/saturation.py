@@ -29,8 +29,12 @@ class Clipped:
     n_above: int = 0
     lowest: float = math.inf  # of the frames that had such, before they were clipped
     highest: float = -math.inf
-    n_now: int = field(default=0, compare=False)  # of the last frame, by more than its noise
-    mask: Mask | None = field(default=None, compare=False)  # True where a taxel exists; None: all
+    n_now: int = field(
+        default=0, compare=False
+    )  # of the last frame, by more than its noise
+    mask: Mask | None = field(
+        default=None, compare=False
+    )  # True where a taxel exists; None: all
     sign: Sign = field(default_factory=Sign, compare=False)
     _margin: Margin = field(default_factory=Margin, compare=False)
 
@@ -40,7 +44,11 @@ class Clipped:
         return self.n_below + self.n_above
 
     def add(
-        self, readings: npt.NDArray[Any], low: float, high: float, noise: float | None = None
+        self,
+        readings: npt.NDArray[Any],
+        low: float,
+        high: float,
+        noise: float | None = None,
     ) -> bool:
         """Count those of a frame, (rows, cols), that are below `low` or above `high`; NaN is
         neither. `noise` is the standard deviation of an untouched taxel, None if not known.
@@ -118,7 +126,11 @@ def clipped_text(report: Mapping[str, Any]) -> str:
     n_below = report["clipped_below"]
     parts = []
     if n_above:
-        parts.append(f"{n_above} above {report['f_max']:g} {unit} (highest {report['highest']:g})")
+        parts.append(
+            f"{n_above} above {report['f_max']:g} {unit} (highest {report['highest']:g})"
+        )
     if n_below:
-        parts.append(f"{n_below} below {report['f_min']:g} {unit} (lowest {report['lowest']:g})")
+        parts.append(
+            f"{n_below} below {report['f_min']:g} {unit} (lowest {report['lowest']:g})"
+        )
     return f"readings clipped to the range: {', '.join(parts)}"

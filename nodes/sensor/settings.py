@@ -70,7 +70,10 @@ class SensorSettings(Layout, PatchesSettings):
         "skin.toml, of each patch that a scene of a body presses",
     )
     active: float | None = setting(
-        None, "part of the patches that a scene of a body presses, not its own", low=0.0, high=1.0
+        None,
+        "part of the patches that a scene of a body presses, not its own",
+        low=0.0,
+        high=1.0,
     )
     skin: str = setting(
         "",
@@ -152,10 +155,14 @@ class SensorSettings(Layout, PatchesSettings):
             address = self.address()
             address.check()
             if self.n_patches > 1 and address.kind != "scene":
-                raise SettingsError(f"{self.source} is not available for several patches")
+                raise SettingsError(
+                    f"{self.source} is not available for several patches"
+                )
         if self.loop and address.kind not in WITH_END:
             allowed = ", ".join(f"{kind}:" for kind in WITH_END)
-            raise SettingsError(f"loop: {self.source} has no beginning; allowed: {allowed}")
+            raise SettingsError(
+                f"loop: {self.source} has no beginning; allowed: {allowed}"
+            )
         if self.noise != 1 and address.delivers == "taxels":
             raise SettingsError(NO_TRUTH)
         for key in address.own:

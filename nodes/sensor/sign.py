@@ -94,7 +94,9 @@ class Margin:
         self._previous: npt.NDArray[Any] | None = None
         self._spreads: deque[float] = deque(maxlen=N_SPREADS)
 
-    def of(self, readings: npt.NDArray[Any], f_max: float, noise: float | None) -> float:
+    def of(
+        self, readings: npt.NDArray[Any], f_max: float, noise: float | None
+    ) -> float:
         """Margin of a frame, in its unit; `noise` is its standard deviation, None if not known:
         then it is the median of what some taxels show in the last frames.
         """
@@ -102,7 +104,9 @@ class Margin:
             return touch_level(noise, f_max, SIGMAS)
         floor = UNKNOWN * f_max
 
-        step = max(readings.size // N_SHOWN, 1) | 1  # odd, as rows often have an even number
+        step = (
+            max(readings.size // N_SHOWN, 1) | 1
+        )  # odd, as rows often have an even number
         values = readings.reshape(-1)[::step].astype(np.float64)
         previous = self._previous
         self._previous = values

@@ -50,7 +50,10 @@ OF_POINTS = ("n_rows", "n_cols", "pitch_mm", "mask")
 """Keys that are not stated beside `points`: they follow from these."""
 CURVE = {"reading": "response.reading", "force": "response.force"}
 """Keys of the table `response`, and their names in errors."""
-BESIDE = {**{key: key for key in (*GRIDS, "points")}, "response_reading": CURVE["reading"]}
+BESIDE = {
+    **{key: key for key in (*GRIDS, "points")},
+    "response_reading": CURVE["reading"],
+}
 """Arrays of the .npz, and the keys that they stand for."""
 
 
@@ -77,7 +80,9 @@ def load_skin(path: str | os.PathLike[str]) -> SkinDescription:
     try:
         table = parse_toml(text.decode("utf-8"), MAX_FILE_CHARS)
     except ValueError as error:
-        raise SkinFileError(f"{path}: not TOML: {' '.join(str(error).split())[:200]}") from error
+        raise SkinFileError(
+            f"{path}: not TOML: {' '.join(str(error).split())[:200]}"
+        ) from error
     return parse_skin({"name": path.stem[:MAX_NAME], **table}, str(path), path.parent)
 
 
@@ -148,7 +153,9 @@ def _placed(table: Mapping[str, Any], folder: Path) -> dict[str, Any]:
     """A table with the grid and placement of the file with points that it names."""
     for key in OF_POINTS:
         if key in table:
-            raise SkinFileError(f"{key}: is stated beside points, from which it follows")
+            raise SkinFileError(
+                f"{key}: is stated beside points, from which it follows"
+            )
     name = table["points"]
     if not isinstance(name, str) or not name:
         raise SkinFileError("points: expected the name of a file")
@@ -185,12 +192,16 @@ def _read(path: Path, max_bytes: int) -> bytes:
 def _load_arrays(name: object, folder: Path, n_cells: int) -> dict[str, Any]:
     """The arrays of the .npz that a file names, by their keys."""
     if not isinstance(name, str) or not name.endswith(".npz"):
-        raise SkinFileError(f"{ARRAYS}: expected the name of an .npz, got {ascii(name)[:40]}")
+        raise SkinFileError(
+            f"{ARRAYS}: expected the name of an .npz, got {ascii(name)[:40]}"
+        )
 
     path = folder / name
     is_plain = name == Path(name).name and "\\" not in name and name.isprintable()
     if not is_plain or path.resolve().parent != folder.resolve():
-        raise SkinFileError(f"{ARRAYS}: {ascii(name)[:80]} is not a file beside the skin's own")
+        raise SkinFileError(
+            f"{ARRAYS}: {ascii(name)[:80]} is not a file beside the skin's own"
+        )
 
     # Baseline, gains and knots in float64, points in float32, the mask, and the headers.
     bytes_per_cell = 8 * (2 + MAX_KNOTS) + 4 * 6 + 1
@@ -250,7 +261,9 @@ def save_skin(path: str | os.PathLike[str], skin: SkinDescription) -> list[Path]
     text = _text(skin, values, large, archive.name)
     # What cannot be read again is not written.
     if len(text) > MAX_FILE_CHARS:
-        raise SkinFileError(f"{path}: would have {len(text)} characters; at most {MAX_FILE_CHARS}")
+        raise SkinFileError(
+            f"{path}: would have {len(text)} characters; at most {MAX_FILE_CHARS}"
+        )
 
     with whole_file(path) as draft:
         draft.write_text(text, encoding="utf-8")
@@ -264,8 +277,12 @@ def save_skin(path: str | os.PathLike[str], skin: SkinDescription) -> list[Path]
 def _values(skin: SkinDescription) -> dict[str, Any]:
     """The values of a description by key, one number for an array of equal ones."""
     numbers = ("name", "n_rows", "n_cols", "pitch_mm", "unit", "f_max", *OF_NOISE)
-    values: dict[str, Any] = {key: getattr(skin, key) for key in (*numbers, *GRIDS, "points")}
-    values["response_reading"] = None if skin.response is None else skin.response.reading
+    values: dict[str, Any] = {
+        key: getattr(skin, key) for key in (*numbers, *GRIDS, "points")
+    }
+    values["response_reading"] = (
+        None if skin.response is None else skin.response.reading
+    )
     for key in ("baseline", "gains"):
         array = values[key]
         if array is not None and np.ptp(array) == 0:
@@ -274,17 +291,24 @@ def _values(skin: SkinDescription) -> dict[str, Any]:
 
 
 def _text(
-    skin: SkinDescription, values: Mapping[str, Any], large: Mapping[str, Any], archive: str
+    skin: SkinDescription,
+    values: Mapping[str, Any],
+    large: Mapping[str, Any],
+    archive: str,
 ) -> str:
     """The text of a skin.toml whose `large` arrays are in an .npz of the name `archive`."""
     stated = {key: value for key, value in values.items() if key not in large}
     knots = stated.pop("response_reading", None)
     if skin.mask is not None and "mask" in stated:
-        stated["mask"] = ["".join("01"[cell] for cell in row) for row in skin.mask.tolist()]
+        stated["mask"] = [
+            "".join("01"[cell] for cell in row) for row in skin.mask.tolist()
+        ]
     if large:
         stated[ARRAYS] = archive
 
-    lines = ["# A skin of sparseskin: docs/howto/calibration.md has the meaning of each key."]
+    lines = [
+        "# A skin of sparseskin: docs/howto/calibration.md has the meaning of each key."
+    ]
     lines += _toml_lines(stated)
     if skin.response is not None:
         lines += ["", "[response]"]
@@ -294,7 +318,9 @@ def _text(
 
 def _toml_lines(values: Mapping[str, Any]) -> list[str]:
     """A line, or lines, for each key that has a value."""
-    return [f"{key} = {_toml(value)}" for key, value in values.items() if value is not None]
+    return [
+        f"{key} = {_toml(value)}" for key, value in values.items() if value is not None
+    ]
 
 
 def _toml(value: Any) -> str:

@@ -38,17 +38,29 @@ class Source:
     delivers: Literal["truth", "taxels"] = "taxels"
     rate_hz: float | None = None  # native frame rate; None: it has none of its own
     n_frames: int | None = None  # None: endless
-    is_live: bool = False  # a frame is of the time at which it is read; others are read ahead
-    arrives: bool = False  # frames arrive whether or not they are read; `next_frame` states when
-    simulates: bool = False  # frames are made for the time at which they are sent, as by a scene
-    on_points: bool = False  # frames of a skin of points are on its virtual grid already
+    is_live: bool = (
+        False  # a frame is of the time at which it is read; others are read ahead
+    )
+    arrives: bool = (
+        False  # frames arrive whether or not they are read; `next_frame` states when
+    )
+    simulates: bool = (
+        False  # frames are made for the time at which they are sent, as by a scene
+    )
+    on_points: bool = (
+        False  # frames of a skin of points are on its virtual grid already
+    )
     ended: bool = False  # `next_frame` has found that there is no frame any more
     f_min: float = 0.0  # lower end of the range, 0 or less, in the unit of the skin
-    clipped: Clipped = Clipped()  # counts of the readings that were clipped to the range
+    clipped: Clipped = (
+        Clipped()
+    )  # counts of the readings that were clipped to the range
     #: Noise of a taxel at half the range, and untouched, in the unit of the skin, that the sensor
     #: adds to a truth; None: that of the paper's skin.
     sigmas: tuple[float, float] | None = None
-    clock: DeviceClock | None = None  # of the stamps of its frames; None: they have none
+    clock: DeviceClock | None = (
+        None  # of the stamps of its frames; None: they have none
+    )
     stamp: int = 0  # of the last frame on that clock
     # The sensor sets these:
     period_s: float = 1 / DEFAULT_RATE_HZ  # time between the frames that it reads
@@ -75,7 +87,9 @@ class Source:
         """False while the device is gone."""
         return True
 
-    def next_frame(self, wait_s: float, newest: bool = False) -> tuple[int, Floats] | None:
+    def next_frame(
+        self, wait_s: float, newest: bool = False
+    ) -> tuple[int, Floats] | None:
         """The next frame, as `__iter__` yields it; None if there is none. One that arrives is
         waited for at most `wait_s` seconds; with `newest`, those that arrived before it are not
         used.
@@ -104,7 +118,9 @@ class Source:
             raise SourceError(f"{self.name}: first, every: are of scenes and files")
         if self.n_frames is not None:
             if first >= self.n_frames:
-                raise SourceError(f"{self.name}: first: {first}: allowed: 0..{self.n_frames - 1}")
+                raise SourceError(
+                    f"{self.name}: first: {first}: allowed: 0..{self.n_frames - 1}"
+                )
             self.n_frames = len(range(first, self.n_frames, every))
         # A simulation that need not compute the others overrides this.
         self._frames = islice(iter(self), first, None, every)
@@ -177,7 +193,9 @@ class Address(ABC):
     layout: Layout = EMPTY
     seed: int = 0  # of a scene
     raw: bool = False  # readings have any sign and size, as a calibration converts them
-    points: str = ""  # file with the places of the taxels of a skin of points; "": a grid
+    points: str = (
+        ""  # file with the places of the taxels of a skin of points; "": a grid
+    )
     described: SkinDescription | None = None  # what the file of the skin states
     # Number of patches, their skin, and the part that is pressed, for a scene of a body:
     n_patches: int = 1
@@ -186,7 +204,9 @@ class Address(ABC):
     form: ClassVar[str] = "module:callable"  # of such addresses, for help and errors
     #: As of the source it opens; None: only that shows it.
     delivers: ClassVar[Literal["truth", "taxels"] | None] = None
-    own: ClassVar[tuple[str, ...]] = ()  # settings that such a source has itself: not to be stated
+    own: ClassVar[
+        tuple[str, ...]
+    ] = ()  # settings that such a source has itself: not to be stated
     #: Keys of `Layout` that such a source uses; no other may be stated.
     keys: ClassVar[tuple[str, ...]] = KEYS
 

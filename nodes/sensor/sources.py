@@ -8,7 +8,13 @@ from typing import Any, cast
 
 from sparseskin.nodes.errors import SourceError
 from sparseskin.nodes.extensions import ADDRESSES, added, failures, load, loaded
-from sparseskin.nodes.lookup import find_callable, is_missing, one_line, search_here, suggestion
+from sparseskin.nodes.lookup import (
+    find_callable,
+    is_missing,
+    one_line,
+    search_here,
+    suggestion,
+)
 
 from .driver import open_callable
 from .source import Address, Source
@@ -43,7 +49,9 @@ def find_kind(kind: str, where: str = "") -> type[Address]:
 def forms() -> str:
     """The forms of addresses."""
     core = [find_kind(kind).form for kind in KINDS]
-    plugins = [address.form for kind, address in loaded(ADDRESSES).items() if kind not in KINDS]
+    plugins = [
+        address.form for kind, address in loaded(ADDRESSES).items() if kind not in KINDS
+    ]
     return f"{', '.join(core + plugins)} or {Address.form}{failures(ADDRESSES)}"
 
 
@@ -61,7 +69,9 @@ def find_address(source: str, **stated: Any) -> Address:
     if kind in KINDS or kind in kinds():
         return find_kind(kind, source)(source, **stated)
     if not all(part.isidentifier() for part in name.split(".")):
-        fault = f"no plug-in for sources {kind}: is installed{suggestion(kind, kinds())}"
+        fault = (
+            f"no plug-in for sources {kind}: is installed{suggestion(kind, kinds())}"
+        )
         raise SourceError(f"{source}: {fault}; expected {forms()}")
     return DriverAddress(source, **stated)
 
@@ -105,17 +115,23 @@ def check_module(target: str) -> None:
         spec = find_spec(module)
     except ModuleNotFoundError as cause:
         if not is_missing(package, cause) and cause.name != module:
-            raise SourceError(f"{target}: importing {package} failed: {one_line(cause)}") from cause
+            raise SourceError(
+                f"{target}: importing {package} failed: {one_line(cause)}"
+            ) from cause
     # A package of a user's own may do anything as it is imported.
     except (Exception, SystemExit) as cause:
         if package:
-            raise SourceError(f"{target}: importing {package} failed: {one_line(cause)}") from cause
+            raise SourceError(
+                f"{target}: importing {package} failed: {one_line(cause)}"
+            ) from cause
     if spec is not None:
         return
 
     # A short name may be a kind of source that was not spelled right.
     hint = suggestion(module, kinds()) if len(module) < 8 else ""
-    raise SourceError(f"{target}: there is no module {module!r}, installed or in {folder}{hint}")
+    raise SourceError(
+        f"{target}: there is no module {module!r}, installed or in {folder}{hint}"
+    )
 
 
 def open_source(source: str, **stated: Any) -> Source:

@@ -39,12 +39,16 @@ class Zero:
     Raises SettingsError, after the name of the argument, if one is not allowed.
     """
 
-    def __init__(self, skin: Skin, tare: int | None = None, invert: bool = False) -> None:
+    def __init__(
+        self, skin: Skin, tare: int | None = None, invert: bool = False
+    ) -> None:
         if tare is not None and not is_whole(tare, 0, MAX_TARE_FRAMES):
             allowed = f"allowed: a whole number, 0..{MAX_TARE_FRAMES}"
             raise SettingsError(f"tare = {tare!r} is not allowed; {allowed}")
         if not isinstance(invert, bool | np.bool_):
-            raise SettingsError(f"invert = {invert!r} is not allowed; allowed: True, False")
+            raise SettingsError(
+                f"invert = {invert!r} is not allowed; allowed: True, False"
+            )
         self._skin = skin
         self._n_tare = tare or 0
         self._invert = bool(invert)
@@ -56,7 +60,9 @@ class Zero:
         self.reason = ""
         self._untouched: list[Floats] = []
         self._baseline: Floats | None = None
-        self.doubt = Doubt(self._skin, has_level=self._has_level, is_inverted=self._invert)
+        self.doubt = Doubt(
+            self._skin, has_level=self._has_level, is_inverted=self._invert
+        )
 
     @property
     def changes_readings(self) -> bool:

@@ -138,7 +138,9 @@ class SparseskinCamera(Camera):
         """The numbers of the strongest contacts of the frame that was read last."""
         if self._shown is None or self._shown.contacts is None:
             raise DeviceNotConnectedError(f"{self}: no frame with contacts was read")
-        return [float(value) for value in state(self._shown.contacts, self.config.contacts)]
+        return [
+            float(value) for value in state(self._shown.contacts, self.config.contacts)
+        ]
 
     def disconnect(self) -> None:
         """Stop reading."""
@@ -164,13 +166,21 @@ class SparseskinCamera(Camera):
         return image
 
     def _image(self, latest: Latest) -> npt.NDArray[np.uint8]:
-        forces, sides = latest.frame.forces[0], (self.config.height or 0, self.config.width or 0)
+        forces, sides = (
+            latest.frame.forces[0],
+            (self.config.height or 0, self.config.width or 0),
+        )
         if any(side < n for side, n in zip(sides, forces.shape, strict=True)):
             raise ConnectionError(
                 f"{self}: height and width are {sides}, less than the {forces.shape} taxels"
             )
-        grey = np.clip(forces * (255 / (self.config.f_max or latest.skin.f_max)), 0, 255)
-        at = [np.arange(side) * n // side for side, n in zip(sides, forces.shape, strict=True)]
+        grey = np.clip(
+            forces * (255 / (self.config.f_max or latest.skin.f_max)), 0, 255
+        )
+        at = [
+            np.arange(side) * n // side
+            for side, n in zip(sides, forces.shape, strict=True)
+        ]
         large = np.rint(grey).astype(np.uint8)[np.ix_(*at)]
         return np.repeat(large[:, :, np.newaxis], 3, axis=2)
 
@@ -204,7 +214,9 @@ class SkinnedRobot(Robot):
             if isinstance(camera, SparseskinCamera) and camera.config.contacts
         }
         if not self._skins:
-            raise ValueError("base.cameras: none is of type sparseskin with contacts above 0")
+            raise ValueError(
+                "base.cameras: none is of type sparseskin with contacts above 0"
+            )
 
     def __getattr__(self, name: str) -> Any:
         return getattr(self.__dict__["base"], name)

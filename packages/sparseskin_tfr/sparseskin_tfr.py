@@ -41,7 +41,9 @@ class TfrRecording(WholeRecording):
         for key in ("rows", "cols"):
             side = head.get(key)
             if not (type(side) is int and 1 <= side <= MAX_SIDE):
-                raise SourceError(f"{name}, line 1: {key} = {shown(side)}; expected 1..{MAX_SIDE}")
+                raise SourceError(
+                    f"{name}, line 1: {key} = {shown(side)}; expected 1..{MAX_SIDE}"
+                )
             shape.append(side)
         check_unit(f"{name}, line 1", head.get("unit"))
         check_number(f"{name}, line 1", "rate_hz", head.get("rate_hz"), 1e6)
@@ -50,7 +52,9 @@ class TfrRecording(WholeRecording):
         data = self._file.file.read()
         n_bytes = 4 * shape[0] * shape[1]
         if not data or len(data) % n_bytes:
-            raise SourceError(f"{name}: {len(data)} bytes behind line 1; a frame has {n_bytes}")
+            raise SourceError(
+                f"{name}: {len(data)} bytes behind line 1; a frame has {n_bytes}"
+            )
         frames = np.frombuffer(data, "<f4").reshape(-1, *shape)
         if not np.isfinite(frames).all() or frames.min() < 0:
             raise SourceError(f"{name}: a reading is negative, or no finite number")
@@ -63,7 +67,9 @@ class TfrRecording(WholeRecording):
         except ValueError:
             head = None
         if not isinstance(head, dict):
-            raise SourceError(f"{self._file.name}, line 1: expected JSON, as of {{...}}")
+            raise SourceError(
+                f"{self._file.name}, line 1: expected JSON, as of {{...}}"
+            )
         return head
 
 

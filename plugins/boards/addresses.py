@@ -32,7 +32,9 @@ class BoardAddress(Address):
     def _board(self) -> Board:
         layout = self.layout
         stated: dict[str, Any] = {"unit": layout.unit, "f_max": layout.f_max}
-        return describe_board(self.source, n_rows=layout.n_rows, n_cols=layout.n_cols, **stated)
+        return describe_board(
+            self.source, n_rows=layout.n_rows, n_cols=layout.n_cols, **stated
+        )
 
     @classmethod
     def ports(cls) -> Iterable[str]:
@@ -50,7 +52,9 @@ class BoardAddress(Address):
             start = f"{stated_keys}&"
         profiles = {f"{start}profile={name}": "" for name in profile_names()}
         settings = KINDS[address.partition(":")[0]].described()
-        return profiles | {f"{start}{entry['key']}=": entry["doc"] for entry in settings}
+        return profiles | {
+            f"{start}{entry['key']}=": entry["doc"] for entry in settings
+        }
 
 
 class SerialAddress(BoardAddress):
@@ -73,7 +77,9 @@ class SerialAddress(BoardAddress):
             text_of_path = dict.fromkeys(text_of_path, missing)
         else:
             descriptions = {
-                port.device: port.description for port in comports() if port.hwid != "n/a"
+                port.device: port.description
+                for port in comports()
+                if port.hwid != "n/a"
             }
             names = {device: name for name, device in devices.items()}
             for device, text in descriptions.items():
@@ -118,5 +124,8 @@ class CanAddress(BoardAddress):
     @classmethod
     def listings(cls) -> Sequence[Listing]:
         title = "CAN interfaces: add ?ids=FIRST-LAST&n_rows=R&n_cols=C"
-        entries = [{"source": f"can:{name}", "about": "CAN interface"} for name in can_channels()]
+        entries = [
+            {"source": f"can:{name}", "about": "CAN interface"}
+            for name in can_channels()
+        ]
         return (Listing("can", title, entries),)

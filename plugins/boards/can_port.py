@@ -64,28 +64,40 @@ def chunks_of(settings: CanSettings, framing: Framing) -> Chunks:
 
     n_chunks = -(-framing.n_bytes // chunk_bytes)
     if len(ids) == 1 and not index_bytes and n_chunks > 1:
-        raise SourceError("ids: one id needs index=u8, the number of the chunk in each CAN frame")
+        raise SourceError(
+            "ids: one id needs index=u8, the number of the chunk in each CAN frame"
+        )
     if len(ids) > 1 and len(ids) != n_chunks:
         raise SourceError(
             f"ids: {len(ids)} ids, but a frame of {framing.n_bytes} bytes has {n_chunks} chunks of "
             f"{chunk_bytes}"
         )
     if len(ids) > 1 and index_bytes:
-        raise SourceError("index: goes with one id; with several, the id tells the chunk")
+        raise SourceError(
+            "index: goes with one id; with several, the id tells the chunk"
+        )
     if n_chunks > 1 << 8 * index_bytes and len(ids) == 1:
-        raise SourceError(f"index: {settings.index} does not count to {n_chunks} chunks; index=u16")
-    return Chunks(ids, n_chunks, framing.n_bytes, chunk_bytes, index_bytes, counter_bytes)
+        raise SourceError(
+            f"index: {settings.index} does not count to {n_chunks} chunks; index=u16"
+        )
+    return Chunks(
+        ids, n_chunks, framing.n_bytes, chunk_bytes, index_bytes, counter_bytes
+    )
 
 
 def _ids_of(text: str) -> tuple[int, ...]:
     """Arbitration ids of "0x100-0x10F" or "0x100,0x102"."""
     ids: list[int] = []
     if not text:
-        raise SourceError("ids is not stated; add ids=0x100, or the ids in order of the readings")
+        raise SourceError(
+            "ids is not stated; add ids=0x100, or the ids in order of the readings"
+        )
     for part in text.split(","):
         ends = [_id_of(end) for end in part.split("-", 1)]
         if ends[-1] < ends[0] or ends[-1] - ends[0] >= MAX_IDS:
-            raise SourceError(f"ids: {shown(part)} is no range of at most {MAX_IDS} ids that rise")
+            raise SourceError(
+                f"ids: {shown(part)} is no range of at most {MAX_IDS} ids that rise"
+            )
         ids += range(ends[0], ends[-1] + 1)
     if len(ids) > MAX_IDS:
         raise SourceError(f"ids: {len(ids)} ids; at most {MAX_IDS}")
@@ -100,7 +112,9 @@ def _id_of(text: str) -> int:
         raise SourceError(f"ids: {shown(text)} is no arbitration id; e.g. 0x100")
     number = int(text, 0) if text[:2] in ("0x", "0X") else int(text)
     if number > HIGHEST_ID:
-        raise SourceError(f"ids: {text} is above {HIGHEST_ID:#x}, the largest extended id")
+        raise SourceError(
+            f"ids: {text} is above {HIGHEST_ID:#x}, the largest extended id"
+        )
     return number
 
 
@@ -113,7 +127,9 @@ class Assembler:
 
     def __init__(self, chunks: Chunks, counts: Counts) -> None:
         self._chunks = chunks
-        self._numbers = {arbitration_id: k for k, arbitration_id in enumerate(chunks.ids)}
+        self._numbers = {
+            arbitration_id: k for k, arbitration_id in enumerate(chunks.ids)
+        }
         self._counts = counts
         self._parts: dict[int, bytes] = {}
         self._counter = -1
@@ -202,7 +218,9 @@ class CanPort(Port):
 
         with contextlib.suppress(OSError, ValueError):
             if not int(Path(f"/sys/class/net/{address}/flags").read_text(), 16) & 1:
-                raise NotHereError(f"the CAN interface {address} is down: ip link set {address} up")
+                raise NotHereError(
+                    f"the CAN interface {address} is down: ip link set {address} up"
+                )
 
     def open(self) -> None:
         can = needed_module("can", "python-can", "can")
@@ -215,12 +233,24 @@ class CanPort(Port):
         if settings.bitrate is not None:
             options["bitrate"] = settings.bitrate
         if len(ids) <= MAX_FILTERS:
-            options["can_filters"] = [_filter_of(arbitration_id) for arbitration_id in ids]
+            options["can_filters"] = [
+                _filter_of(arbitration_id) for arbitration_id in ids
+            ]
         try:
             self._bus = can.Bus(
-                channel=self.address, interface=settings.interface, fd=settings.fd, **options
+                channel=self.address,
+                interface=settings.interface,
+                fd=settings.fd,
+                **options,
             )
-        except (can.CanError, OSError, ValueError, TypeError, ImportError, KeyError) as error:
+        except (
+            can.CanError,
+            OSError,
+            ValueError,
+            TypeError,
+            ImportError,
+            KeyError,
+        ) as error:
             reason = " ".join(str(error).split())
             raise SourceError(f"cannot be opened: {reason}") from error
 

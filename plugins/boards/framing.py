@@ -153,7 +153,9 @@ class Framing:
             at += self.sequence_bytes
         return at
 
-    def encode(self, payload: bytes, sequence: int = 0, stamp: int = 0, first: int = 0) -> bytes:
+    def encode(
+        self, payload: bytes, sequence: int = 0, stamp: int = 0, first: int = 0
+    ) -> bytes:
         """A frame as a board sends it; bytes that are not used are 0. For emulators and tests."""
         n_head = self.payload_at - len(self.start)
         body = bytearray(self.start + bytes(n_head) + payload + bytes(self.after))
@@ -171,7 +173,9 @@ class Framing:
                 body[field.at : field.at + field.n_bytes] = raw
 
         covered = bytes(body[self._covered_from :])
-        checksum = self._check.compute(covered).to_bytes(self._check.n_bytes, self.byte_order)
+        checksum = self._check.compute(covered).to_bytes(
+            self._check.n_bytes, self.byte_order
+        )
         return bytes(body) + checksum + self.end
 
     @cached_property
@@ -189,7 +193,10 @@ class Framing:
 
         n_check = self._check.n_bytes
         at = len(raw) - len(self.end) - n_check
-        if self.length and _value(raw, self.length, self.byte_order) != at - self.payload_at:
+        if (
+            self.length
+            and _value(raw, self.length, self.byte_order) != at - self.payload_at
+        ):
             return False
         checksum = _value(raw, Field(at, n_check), self.byte_order)
         return self._check.compute(raw[self._covered_from : at]) == checksum

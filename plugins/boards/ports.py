@@ -22,7 +22,9 @@ Arrived = tuple[int, Frame]
 class Port(ABC):
     """A port with the parser of its frames; `n_bytes` received so far, `lines` for the log."""
 
-    def __init__(self, address: str, settings: Any, framing: Framing, counts: Counts) -> None:
+    def __init__(
+        self, address: str, settings: Any, framing: Framing, counts: Counts
+    ) -> None:
         self.address = address
         self._settings = settings
         self.n_bytes = 0

@@ -30,7 +30,9 @@ class Decoder:
         scale: float = 1.0,
         zero: float = 0.0,
     ) -> None:
-        self._dtype = np.dtype(dtype).newbyteorder("<" if byte_order == "little" else ">")
+        self._dtype = np.dtype(dtype).newbyteorder(
+            "<" if byte_order == "little" else ">"
+        )
         self._shape = arrangement.shape
         self._places: Indices | None = arrangement.places
         self._scale = scale
@@ -46,7 +48,11 @@ class Decoder:
         clipped nor checked for other NaN.
         """
         counts = np.frombuffer(payload, self._dtype)
-        counts = counts.reshape(self._shape) if self._places is None else counts[self._places]
+        counts = (
+            counts.reshape(self._shape)
+            if self._places is None
+            else counts[self._places]
+        )
         readings = self._readings(counts)
         for number in missing:
             readings[counts == number] = np.nan
@@ -72,7 +78,9 @@ class Pieces:
     would be of two times. `counts`: those of the parser of the pieces.
     """
 
-    def __init__(self, n_readings: int, n_bytes: int, modulus: int, counts: Counts) -> None:
+    def __init__(
+        self, n_readings: int, n_bytes: int, modulus: int, counts: Counts
+    ) -> None:
         self._n = n_readings
         self._size = n_bytes
         self._modulus = modulus

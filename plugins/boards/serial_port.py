@@ -37,7 +37,9 @@ class SerialPort(Port):
         super().__init__(address, settings, framing, counts)
         self.parser = FrameParser(framing, counts)
         self._port: Any = None
-        self._arrivals: deque[tuple[int, int]] = deque(maxlen=4096)  # end in the stream, time
+        self._arrivals: deque[tuple[int, int]] = deque(
+            maxlen=4096
+        )  # end in the stream, time
         self._overruns = 0
         self._recent: deque[bytes] = deque(maxlen=64)
 
@@ -61,7 +63,9 @@ class SerialPort(Port):
         serial = needed_module("serial", "pyserial", "serial")
         self.parser.reset()
         try:
-            self._port = serial.Serial(self.address, self._settings.baud, timeout=0, exclusive=True)
+            self._port = serial.Serial(
+                self.address, self._settings.baud, timeout=0, exclusive=True
+            )
         except (OSError, ValueError) as error:  # SerialException is an OSError
             reason = str(error)
             if isinstance(error, OSError) and error.errno is not None:
@@ -87,7 +91,9 @@ class SerialPort(Port):
             self.n_bytes += len(data)
             self._recent.append(data)
             self._arrivals.append((self.n_bytes, now_ns))
-            frames += [(self._arrival_of(frame.end), frame) for frame in self.parser.feed(data)]
+            frames += [
+                (self._arrival_of(frame.end), frame) for frame in self.parser.feed(data)
+            ]
         return frames
 
     def _arrival_of(self, end: int) -> int:
@@ -108,7 +114,9 @@ class SerialPort(Port):
         if self._port is not None:
             with contextlib.suppress(OSError):
                 raw = fcntl.ioctl(self._port.fileno(), TIOCGICOUNT, bytes(80))
-                _, _, _, _, _, _, frame, overrun, parity, _, buffer = struct.unpack("11i", raw[:44])
+                _, _, _, _, _, _, frame, overrun, parity, _, buffer = struct.unpack(
+                    "11i", raw[:44]
+                )
                 self._overruns = max(self._overruns, frame + overrun + parity + buffer)
         return {"port_errors": self._overruns}
 
@@ -116,24 +124,32 @@ class SerialPort(Port):
         framing = self.parser.framing
         recent = b"".join(self._recent)
         start = framing.prefix.hex(" ").upper()
-        places = [match.start() for match in re.finditer(re.escape(framing.prefix), recent)]
+        places = [
+            match.start() for match in re.finditer(re.escape(framing.prefix), recent)
+        ]
         if len(places) < 2:
             if len(recent) < framing.n_bytes:
                 return ""
             return f"; the start bytes {start} hardly occur"
 
         # The most frequent distance of two starts.
-        distance, n_times = Counter(b - a for a, b in pairwise(places)).most_common(1)[0]
+        distance, n_times = Counter(b - a for a, b in pairwise(places)).most_common(1)[
+            0
+        ]
         if n_times < 2 or distance == framing.n_bytes:
             return ""
         n_payload = distance - framing.n_bytes + framing.payload_bytes
-        return f"; from {start} to {start} it is {distance} bytes, {n_payload} of readings"
+        return (
+            f"; from {start} to {start} it is {distance} bytes, {n_payload} of readings"
+        )
 
 
 def serial_devices(dev: Path = Path("/dev")) -> dict[str, str]:
     """Serial ports of this host that a board may be at, sorted, by the device that each is now; a
     port of USB by its name in serial/by-id, which it keeps wherever it is plugged in.
     """
-    name_of_device = {os.path.realpath(path): str(path) for path in dev.glob("serial/by-id/*")}
+    name_of_device = {
+        os.path.realpath(path): str(path) for path in dev.glob("serial/by-id/*")
+    }
     paths = sorted(str(path) for name in DEVICES for path in dev.glob(name))
     return {name_of_device.get(os.path.realpath(path), path): path for path in paths}

@@ -21,7 +21,12 @@ from sparseskin.launch.attach.text import typed_value
 from sparseskin.messages.skin import Skin
 from sparseskin.nodes.errors import SourceError, SparseskinError
 from sparseskin.nodes.lookup import did_you_mean
-from sparseskin.nodes.sensor.layout.arrangement import Arrangement, Axis, arrange, check_grid
+from sparseskin.nodes.sensor.layout.arrangement import (
+    Arrangement,
+    Axis,
+    arrange,
+    check_grid,
+)
 from sparseskin.nodes.sensor.layout.checks import check_unit, shown
 from sparseskin.nodes.sensor.layout.layout import GridLayout, Layout
 from sparseskin.nodes.settings import Settings, setting
@@ -46,27 +51,52 @@ AT = "bytes from the begin of the frame"
 class BoardSettings(GridLayout):
     """Settings of every board."""
 
-    start: str = setting("", "bytes that begin each frame, hexadecimal: AA55; ??: any byte")
-    sequence: str = setting("none", "number of the frame, after the start bytes", choices=NUMBERS)
-    sequence_at: int | None = setting(None, f"place of the number: {AT}", low=0, high=MAX_AT)
-    skip: int = setting(0, "bytes before the readings that are not used", low=0, high=1024)
-    after: int = setting(0, "bytes after the readings that are not used", low=0, high=1024)
-    stamp: str = setting(
-        "none", "time on the board's clock; sequence: its number, if a timer sends", choices=STAMPS
+    start: str = setting(
+        "", "bytes that begin each frame, hexadecimal: AA55; ??: any byte"
     )
-    stamp_at: int | None = setting(None, f"place of the stamp: {AT}", low=0, high=MAX_AT)
-    stamp_hz: float = setting(1e6, "ticks of the board's clock a second", low=1e-3, high=1e10)
-    stamp_wrap: int | None = setting(None, "ticks until it is 0 again; else 2^bits", low=2)
-    checksum: str = setting("none", "checksum after the readings", choices=tuple(CHECKSUMS))
+    sequence: str = setting(
+        "none", "number of the frame, after the start bytes", choices=NUMBERS
+    )
+    sequence_at: int | None = setting(
+        None, f"place of the number: {AT}", low=0, high=MAX_AT
+    )
+    skip: int = setting(
+        0, "bytes before the readings that are not used", low=0, high=1024
+    )
+    after: int = setting(
+        0, "bytes after the readings that are not used", low=0, high=1024
+    )
+    stamp: str = setting(
+        "none",
+        "time on the board's clock; sequence: its number, if a timer sends",
+        choices=STAMPS,
+    )
+    stamp_at: int | None = setting(
+        None, f"place of the stamp: {AT}", low=0, high=MAX_AT
+    )
+    stamp_hz: float = setting(
+        1e6, "ticks of the board's clock a second", low=1e-3, high=1e10
+    )
+    stamp_wrap: int | None = setting(
+        None, "ticks until it is 0 again; else 2^bits", low=2
+    )
+    checksum: str = setting(
+        "none", "checksum after the readings", choices=tuple(CHECKSUMS)
+    )
     checksum_from: str = setting(
-        "sequence", "first part that the checksum covers; the last are the readings", choices=PARTS
+        "sequence",
+        "first part that the checksum covers; the last are the readings",
+        choices=PARTS,
     )
     confirm: bool = setting(
-        True, "without a CRC: wait for the next frame; false: one that lost bytes may get through"
+        True,
+        "without a CRC: wait for the next frame; false: one that lost bytes may get through",
     )
     end: str = setting("", "bytes that end each frame, hexadecimal: 0D0A")
     dtype: str = setting("uint8", "type of a reading", choices=DTYPES)
-    byte_order: str = setting("little", "order of the bytes of a number", choices=("little", "big"))
+    byte_order: str = setting(
+        "little", "order of the bytes of a number", choices=("little", "big")
+    )
     zero: float = setting(0.0, "count of an untouched taxel", low=-1e30, high=1e30)
     scale: float = setting(
         1.0, "reading of a count; below 0: a press lowers them", low=-1e30, high=1e30
@@ -88,11 +118,16 @@ class BoardSettings(GridLayout):
         assert self.n_cols is not None
         check_grid(self.n_rows, self.n_cols, "n_rows, n_cols")
         check_unit("unit", self.unit)
-        return Decoder(self.dtype, self.byte_order, self.places(), self.scale, self.zero)
+        return Decoder(
+            self.dtype, self.byte_order, self.places(), self.scale, self.zero
+        )
 
     def places(self) -> Arrangement:
         """Places of the readings in a frame as it is sent."""
-        grid = {field.name: getattr(self, field.name) for field in dataclasses.fields(GridLayout)}
+        grid = {
+            field.name: getattr(self, field.name)
+            for field in dataclasses.fields(GridLayout)
+        }
         return arrange(Layout(**grid), [Axis(self.n_stated or 0)], "the frame")
 
     def skin(self) -> Skin:
@@ -100,7 +135,9 @@ class BoardSettings(GridLayout):
         f_max = self.f_max
         dtype = np.dtype(self.dtype)
         if f_max is None and dtype.kind == "f":
-            raise SourceError(f"f_max is not stated, and {self.dtype} has no largest value")
+            raise SourceError(
+                f"f_max is not stated, and {self.dtype} has no largest value"
+            )
         if f_max is None:
             lowest = float((np.iinfo(dtype).min - self.zero) * self.scale)
             highest = float((np.iinfo(dtype).max - self.zero) * self.scale)
@@ -118,10 +155,14 @@ class BoardSettings(GridLayout):
         """Framing of a payload of so many bytes; SourceError if a key is wrong."""
         digits = "".join(self.start.split())
         pairs = [digits[k : k + 2] for k in range(0, len(digits), 2)]
-        start = _bytes_of("start", "".join("00" if pair == "??" else pair for pair in pairs))
+        start = _bytes_of(
+            "start", "".join("00" if pair == "??" else pair for pair in pairs)
+        )
         free_places = frozenset(k for k, pair in enumerate(pairs) if pair == "??")
         if self.needs_start and not start:
-            raise SourceError("start is not stated; add start=HEX, the bytes that begin a frame")
+            raise SourceError(
+                "start is not stated; add start=HEX, the bytes that begin a frame"
+            )
         if 0 in free_places:
             raise SourceError("start: the first byte has to be stated")
 
@@ -150,9 +191,14 @@ class BoardSettings(GridLayout):
         """Types and places of the numbers in a frame, by their keys."""
         # After the start bytes, it has no place that could be wrong.
         kind = "none" if self.sequence_at is None else self.sequence
-        return {"sequence": (kind, self.sequence_at), "stamp": (self.stamp, self.stamp_at)}
+        return {
+            "sequence": (kind, self.sequence_at),
+            "stamp": (self.stamp, self.stamp_at),
+        }
 
-    def _field(self, framing: Framing, key: str, kind: str, at: int | None) -> Field | None:
+    def _field(
+        self, framing: Framing, key: str, kind: str, at: int | None
+    ) -> Field | None:
         """Place of a number; SourceError if it is missing, or not outside the readings."""
         if kind == "sequence" and framing.sequence is None:
             raise SourceError(f"{key}: frames have no number; add sequence=u16")
@@ -182,14 +228,27 @@ class BoardSettings(GridLayout):
 class StreamSettings(BoardSettings):
     """Settings of a board that sends frames of any length: a serial port, UDP."""
 
-    piece: int | None = setting(None, "readings, of a piece of the skin", low=1, high=1 << 20)
-    first: str = setting("none", "number of the first reading of a piece", choices=NUMBERS)
-    first_at: int | None = setting(None, f"place of that number: {AT}", low=0, high=MAX_AT)
-    length: str = setting("none", "bytes from readings to checksum, if they vary", choices=NUMBERS)
-    length_at: int | None = setting(None, f"place of the length: {AT}", low=0, high=MAX_AT)
+    piece: int | None = setting(
+        None, "readings, of a piece of the skin", low=1, high=1 << 20
+    )
+    first: str = setting(
+        "none", "number of the first reading of a piece", choices=NUMBERS
+    )
+    first_at: int | None = setting(
+        None, f"place of that number: {AT}", low=0, high=MAX_AT
+    )
+    length: str = setting(
+        "none", "bytes from readings to checksum, if they vary", choices=NUMBERS
+    )
+    length_at: int | None = setting(
+        None, f"place of the length: {AT}", low=0, high=MAX_AT
+    )
 
     def fields(self) -> dict[str, tuple[str, int | None]]:
-        of_stream = {"first": (self.first, self.first_at), "length": (self.length, self.length_at)}
+        of_stream = {
+            "first": (self.first, self.first_at),
+            "length": (self.length, self.length_at),
+        }
         return super().fields() | of_stream
 
     def framing(self, n_bytes: int) -> Framing:
@@ -203,7 +262,9 @@ class StreamSettings(BoardSettings):
 
         framing = super().framing(n * itemsize)
         if framing.length and self.needs_start and not framing.is_strong:
-            raise SourceError("length: needs a CRC of 16 bits or more; add checksum=crc16")
+            raise SourceError(
+                "length: needs a CRC of 16 bits or more; add checksum=crc16"
+            )
         return framing
 
 
@@ -219,8 +280,12 @@ class SerialSettings(StreamSettings):
 class UdpSettings(StreamSettings):
     """Settings of a board that sends UDP packets, each of one frame or several."""
 
-    bind: str = setting("127.0.0.1", "address of this host to receive at; 0.0.0.0 for all")
-    sender: str | None = setting(None, "address of the board; packets of others are dropped")
+    bind: str = setting(
+        "127.0.0.1", "address of this host to receive at; 0.0.0.0 for all"
+    )
+    sender: str | None = setting(
+        None, "address of the board; packets of others are dropped"
+    )
 
     def check_port(self) -> None:
         for key in ("bind", "sender"):
@@ -237,18 +302,31 @@ class UdpSettings(StreamSettings):
 class CanSettings(BoardSettings):
     """Settings of a board on a CAN bus: a frame of the skin is spread over several CAN frames."""
 
-    ids: str = setting("", "arbitration ids in order of the readings: 0x100-0x10F, or 0x100,0x102")
-    chunk: int | None = setting(None, "bytes of it in a CAN frame; all that fit", low=1, high=64)
+    ids: str = setting(
+        "", "arbitration ids in order of the readings: 0x100-0x10F, or 0x100,0x102"
+    )
+    chunk: int | None = setting(
+        None, "bytes of it in a CAN frame; all that fit", low=1, high=64
+    )
     index: str = setting(
-        "none", "number of the chunk, first in each CAN frame", choices=("none", "u8", "u16")
+        "none",
+        "number of the chunk, first in each CAN frame",
+        choices=("none", "u8", "u16"),
     )
     counter: str = setting(
-        "none", "number of the skin's frame, next in each CAN frame", choices=("none", "u8")
+        "none",
+        "number of the skin's frame, next in each CAN frame",
+        choices=("none", "u8"),
     )
     fd: bool = setting(False, "CAN-FD: up to 64 bytes a CAN frame")
-    interface: str = setting("socketcan", "interface of python-can: socketcan, slcan, pcan ...")
+    interface: str = setting(
+        "socketcan", "interface of python-can: socketcan, slcan, pcan ..."
+    )
     bitrate: int | None = setting(
-        None, "bits a second; of socketcan it is that of the interface", low=1000, high=20_000_000
+        None,
+        "bits a second; of socketcan it is that of the interface",
+        low=1000,
+        high=20_000_000,
     )
 
 
@@ -316,7 +394,9 @@ def typed(cls: type[Settings], query: Mapping[str, str], *more: str) -> dict[str
     entries = {entry["key"]: entry for entry in cls.described()}
     for key in query:
         if key not in entries:
-            raise SourceError(f"{key}: unknown key{did_you_mean(key, [*entries, *more])}")
+            raise SourceError(
+                f"{key}: unknown key{did_you_mean(key, [*entries, *more])}"
+            )
     return {key: typed_value(text, entries[key]) for key, text in query.items()}
 
 
@@ -330,14 +410,20 @@ def read_profile(name: str, cls: type[BoardSettings]) -> dict[str, Any]:
     is_name = re.fullmatch(r"\w+", name) is not None
     if not is_path and not (is_name and path.is_file()):
         hint = did_you_mean(name, profile_names())
-        raise SourceError(f"profile: there is no {shown(name)}{hint}; or the path of a .toml file")
+        raise SourceError(
+            f"profile: there is no {shown(name)}{hint}; or the path of a .toml file"
+        )
 
-    all_keys = {field.name for kind in KINDS.values() for field in dataclasses.fields(kind)}
+    all_keys = {
+        field.name for kind in KINDS.values() for field in dataclasses.fields(kind)
+    }
     values = read_toml(path)
     values.pop("about", None)
     for key, value in values.items():
         if key not in all_keys:
-            raise SourceError(f"profile {name}: {key}: unknown key{did_you_mean(key, all_keys)}")
+            raise SourceError(
+                f"profile {name}: {key}: unknown key{did_you_mean(key, all_keys)}"
+            )
         # A list of arbitration ids is a text in the name of a source.
         if isinstance(value, list):
             values[key] = ",".join(map(str, value))
@@ -361,7 +447,9 @@ def read_toml(path: Path) -> dict[str, Any]:
             raw = file.read(MAX_CHARS + 1)
         return parse_toml(raw.decode("utf-8"))
     except OSError as error:
-        raise SourceError(f"profile: {path}: cannot be read ({error.strerror})") from error
+        raise SourceError(
+            f"profile: {path}: cannot be read ({error.strerror})"
+        ) from error
     except ValueError as error:
         raise SourceError(f"profile: {path}: no TOML ({shown(error, 120)})") from error
 

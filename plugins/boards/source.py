@@ -87,7 +87,9 @@ def describe_board(
             "f_max": f_max,
             "unit": unit,
         }
-        stated_keys = {key for key in of_sensor if getattr(settings, key) not in (None, "raw")}
+        stated_keys = {
+            key for key in of_sensor if getattr(settings, key) not in (None, "raw")
+        }
         missing = {
             key: value
             for key, value in of_sensor.items()
@@ -156,7 +158,9 @@ class BoardSource(LiveSource):
         self.n_not_finite = 0
         self.n_gone = 0
         self._board = board
-        self._port = PORTS[board.kind](board.address, board.settings, board.framing, self.counts)
+        self._port = PORTS[board.kind](
+            board.address, board.settings, board.framing, self.counts
+        )
         self._pieces = self._pieces_of(board)
         stamp = board.framing.stamp
         if stamp is not None:
@@ -180,7 +184,9 @@ class BoardSource(LiveSource):
     def is_there(self) -> bool:
         return self._is_open
 
-    def next_frame(self, wait_s: float, newest: bool = False) -> tuple[int, Floats] | None:
+    def next_frame(
+        self, wait_s: float, newest: bool = False
+    ) -> tuple[int, Floats] | None:
         """The next frame, or the newest of those that wait, the others counted as unused; None if
         none came in `wait_s` seconds.
 
@@ -259,7 +265,9 @@ class BoardSource(LiveSource):
         self._is_open = True
         self._heard_at = time.monotonic()
         self._said_silent = False
-        self._lines.append(f"{self.name}: is back after {self._heard_at - self._gone_at:.1f} s")
+        self._lines.append(
+            f"{self.name}: is back after {self._heard_at - self._gone_at:.1f} s"
+        )
         return True
 
     def _pieces_of(self, board: Board) -> Pieces | None:
@@ -387,5 +395,7 @@ def dropped_text(figures: dict[str, int]) -> str:
         "port_errors": "errors of the port",
         "dropped_bytes": "bytes",
     }
-    counts = [f"{figures[key]} {text}" for key, text in words.items() if figures.get(key)]
+    counts = [
+        f"{figures[key]} {text}" for key, text in words.items() if figures.get(key)
+    ]
     return ", ".join(counts)

@@ -47,7 +47,9 @@ class UdpPort(Port):
     @classmethod
     def check(cls, address: str, settings: Any) -> None:
         if not (PORT.fullmatch(address) and int(address) <= 65535):
-            raise SourceError(f"{address[:40]!r} is no port; a port is a number in 1..65535")
+            raise SourceError(
+                f"{address[:40]!r} is no port; a port is a number in 1..65535"
+            )
 
     def open(self) -> None:
         self._parser.reset()
@@ -79,14 +81,18 @@ class UdpPort(Port):
             # The kernel states how many packets it has dropped so far.
             for level, kind, value in ancillary:
                 if (level, kind) == (socket.SOL_SOCKET, SO_RXQ_OVFL):
-                    self._n_dropped = max(self._n_dropped, int.from_bytes(value, sys.byteorder))
+                    self._n_dropped = max(
+                        self._n_dropped, int.from_bytes(value, sys.byteorder)
+                    )
             if self._is_heard(sender, now_ns / 1e9):
                 frames += self._taken(packet, sender, now_ns)
             else:
                 self._drop_stranger(sender)
         return frames
 
-    def _taken(self, packet: bytes, sender: tuple[str, int], now_ns: int) -> list[Arrived]:
+    def _taken(
+        self, packet: bytes, sender: tuple[str, int], now_ns: int
+    ) -> list[Arrived]:
         """Frames of a packet; a sender whose first packet has some is the one from now on."""
         self.n_bytes += len(packet)
         self._last_bytes = len(packet)
@@ -107,7 +113,9 @@ class UdpPort(Port):
         self._n_strangers += 1
         if self._n_strangers == 1:
             heard = self._settings.sender or _text(self._sender)
-            self.lines.append(f"packets of {_text(sender)} are dropped; {heard} is the sender")
+            self.lines.append(
+                f"packets of {_text(sender)} are dropped; {heard} is the sender"
+            )
 
     def _is_heard(self, sender: tuple[str, int], now_s: float) -> bool:
         if self._settings.sender is not None:

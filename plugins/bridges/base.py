@@ -38,7 +38,9 @@ def check_words(key: str, words: Iterable[str], allowed: Collection[str]) -> Non
     """Raise SettingsError if a word of a setting is not allowed."""
     for k, word in enumerate(words):
         if word not in allowed:
-            raise SettingsError(f"{key}[{k}]: {word!r} is not allowed{did_you_mean(word, allowed)}")
+            raise SettingsError(
+                f"{key}[{k}]: {word!r} is not allowed{did_you_mean(word, allowed)}"
+            )
 
 
 @dataclass(frozen=True)
@@ -143,7 +145,9 @@ class Bridge(Node[S]):
     @classmethod
     def optional_inputs(cls, settings: S) -> tuple[str, ...]:
         schemas = (*settings.maps, *cls.EXTRAS)
-        return tuple(topic_of(patch, schema) for patch in settings.patches for schema in schemas)
+        return tuple(
+            topic_of(patch, schema) for patch in settings.patches for schema in schemas
+        )
 
     def step(self, message: Message) -> Iterable[Message]:
         if isinstance(message, SkinState):
@@ -155,7 +159,9 @@ class Bridge(Node[S]):
             if message.seq != self._next.get(topic):
                 self._held[topic] = {}
             self._next[topic] = message.seq + 1
-            for part in message.split(self._held[topic]):  # none before the first that is solved
+            for part in message.split(
+                self._held[topic]
+            ):  # none before the first that is solved
                 self._send(part, skin)
         return ()
 
@@ -189,7 +195,13 @@ class Bridge(Node[S]):
         return text
 
     def report(self) -> dict[str, Any]:
-        return {"bridge": {"where": self.where(), "sent": self.n_sent, "dropped": self.n_dropped}}
+        return {
+            "bridge": {
+                "where": self.where(),
+                "sent": self.n_sent,
+                "dropped": self.n_dropped,
+            }
+        }
 
 
 def patches_of(topics: Iterable[str]) -> list[str]:

@@ -75,7 +75,9 @@ def image(stamp: tuple[int, int], frame_id: str, forces: Floats) -> bytes:
     )
 
 
-def cloud(stamp: tuple[int, int], frame_id: str, columns: Mapping[str, Floats]) -> bytes:
+def cloud(
+    stamp: tuple[int, int], frame_id: str, columns: Mapping[str, Floats]
+) -> bytes:
     """A sensor_msgs/PointCloud2 of `point_columns`."""
     field = types().types["sensor_msgs/msg/PointField"]
     points = np.stack(list(columns.values()), axis=1)
@@ -109,7 +111,9 @@ def array(values: Floats, labels: tuple[str, str] = ("rows", "cols")) -> bytes:
         dimension(col_label, n_cols, n_cols),
     ]
     layout = message_types["std_msgs/msg/MultiArrayLayout"](dim=sides, data_offset=0)
-    return encoded(ARRAY, layout=layout, data=np.ascontiguousarray(values, "<f4").reshape(-1))
+    return encoded(
+        ARRAY, layout=layout, data=np.ascontiguousarray(values, "<f4").reshape(-1)
+    )
 
 
 def contact_array(contacts: Contacts) -> bytes:
@@ -133,7 +137,9 @@ def contact_wrench(stamp: tuple[int, int], contacts: Contacts) -> bytes:
     )
 
 
-def contact_markers(stamp: tuple[int, int], contacts: Contacts, skin: SkinState) -> bytes:
+def contact_markers(
+    stamp: tuple[int, int], contacts: Contacts, skin: SkinState
+) -> bytes:
     """A visualization_msgs/MarkerArray, which replaces the one before: of each contact a sphere, an
     arrow and a text, in the namespaces of these names, with its id.
     """
@@ -149,7 +155,9 @@ def contact_markers(stamp: tuple[int, int], contacts: Contacts, skin: SkinState)
         tip = shape.centre
         markers += [
             marker("sphere", SPHERE, number, (d, d, d / 4), tip),
-            marker("arrow", ARROW, number, (d / 4, d / 2, 0.0), ORIGIN, ends=(tail, tip)),
+            marker(
+                "arrow", ARROW, number, (d / 4, d / 2, 0.0), ORIGIN, ends=(tail, tip)
+            ),
             marker("text", TEXT, number, (0.0, 0.0, d), tail, text=shape.text),
         ]
     return encoded(MARKERS, markers=markers)

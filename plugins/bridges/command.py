@@ -43,7 +43,9 @@ def configure(parser: argparse.ArgumentParser) -> None:
     )
     for name, cls in bridges().items():
         command = add(name, _bridge, cls.HELP)
-        command.description = f"{cls.HELP[0].upper()}{cls.HELP[1:]}, until it ends or Ctrl-C."
+        command.description = (
+            f"{cls.HELP[0].upper()}{cls.HELP[1:]}, until it ends or Ctrl-C."
+        )
         command.set_defaults(bridge=name)
         if "port" in {entry["key"] for entry in cls.Settings.described()}:
             about = "port of 127.0.0.1; 0: a free one"
@@ -64,7 +66,9 @@ def _bridge(arguments: argparse.Namespace) -> int:
     writers = graph.writers()
     patches = values.setdefault("patches", patches_of(writers))
     if not patches:
-        raise SettingsError(f"{graph.label}: publishes no skin that a bridge could show")
+        raise SettingsError(
+            f"{graph.label}: publishes no skin that a bridge could show"
+        )
     settings = cls.Settings.from_mapping(values)
     for topic in cls.inputs(settings):
         if topic not in writers:

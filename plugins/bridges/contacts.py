@@ -116,7 +116,9 @@ def as_json(contacts: Contacts) -> dict[str, Any]:
         "total": float(contacts.total.sum()),
         "trusted": contacts.trusted[0],
         "contacts": entries,
-        "events": [{"id": number, "event": event} for number, event in contacts.named_events],
+        "events": [
+            {"id": number, "event": event} for number, event in contacts.named_events
+        ],
     }
 
 
@@ -125,7 +127,10 @@ def json_schema(contacts: Contacts) -> dict[str, Any]:
     number = {"type": "number"}
     flag = {"type": "boolean"}
     text = {"type": "string"}
-    contact = dict.fromkeys(contacts.columns(), number) | {"over": flag, "sliding": flag}
+    contact = dict.fromkeys(contacts.columns(), number) | {
+        "over": flag,
+        "sliding": flag,
+    }
 
     def rows(properties: dict[str, Any]) -> dict[str, Any]:
         return {"type": "array", "items": {"type": "object", "properties": properties}}

@@ -67,10 +67,14 @@ def message_type(kind: str) -> type[Any]:
     members = {member: _member(form) for member, form in cdr.types().fielddefs[kind][1]}
     form = {"typename": f"{package}::msg::dds_::{name}_"}
     body = {"__annotations__": members, "__module__": __name__}
-    new = types.new_class(name, (IdlStruct,), form, lambda namespace: namespace.update(body))
+    new = types.new_class(
+        name, (IdlStruct,), form, lambda namespace: namespace.update(body)
+    )
     message: type[Any] = dataclass(new)
     message.serialize = lambda self, *_, **__: self.cdr
-    message.deserialize = classmethod(lambda cls, data, *_, **__: ready(cls, bytes(data)))
+    message.deserialize = classmethod(
+        lambda cls, data, *_, **__: ready(cls, bytes(data))
+    )
     return message
 
 
@@ -107,9 +111,13 @@ class Member:
         try:
             if interface and _domains.get(domain, ("",))[0] != interface:
                 _domains[domain] = (interface, Domain(domain, _config(interface)))
-            self.participant = DomainParticipant(domain, Qos(Policy.Userdata(b"enclave=/;")))
+            self.participant = DomainParticipant(
+                domain, Qos(Policy.Userdata(b"enclave=/;"))
+            )
             address_of = {
-                fd: address for fd, address in _udp_sockets().items() if fd not in sockets_before
+                fd: address
+                for fd, address in _udp_sockets().items()
+                if fd not in sockets_before
             }
             if interface == "lo":
                 _bind_to_loopback(address_of)
@@ -123,7 +131,9 @@ class Member:
         addresses = sorted({*address_of.values()} - {"0.0.0.0"})
         by = interface or ", ".join(addresses) or "the interface of CYCLONEDDS_URI"
         self.where = f"DDS domain {domain} by {by}"
-        self._discovered = BuiltinDataReader(self.participant, BuiltinTopicDcpsPublication)
+        self._discovered = BuiltinDataReader(
+            self.participant, BuiltinTopicDcpsPublication
+        )
         self._publications: dict[str, tuple[str, bool]] = {}
 
         # The node and its endpoints are announced beside it.
@@ -176,7 +186,11 @@ class Member:
             # Topics of DDS alone, and services, have other names.
             if name.startswith(f"{TOPIC_PREFIX}/"):
                 reliable = Policy.Reliability.BestEffort not in publication.qos
-                kind = type_name.replace("::dds_::", "/").replace("::", "/").removesuffix("_")
+                kind = (
+                    type_name.replace("::dds_::", "/")
+                    .replace("::", "/")
+                    .removesuffix("_")
+                )
                 self._publications[name.removeprefix(TOPIC_PREFIX)] = (kind, reliable)
         return self._publications
 
@@ -209,15 +223,21 @@ class Member:
             return False
 
         while not self._left.wait(ANNOUNCE_S):
-            with contextlib.suppress(DDSException):  # of a reader that has left meanwhile
+            with contextlib.suppress(
+                DDSException
+            ):  # of a reader that has left meanwhile
                 readers = writer.get_matched_subscriptions()
                 state = (readers, [*self._readers], [*self._writers])
                 if state != announced and are_of_jazzy(readers):
                     _, own_readers, own_writers = state
                     ends = (gids(own_readers), gids(own_writers))
-                    node = types["rmw_dds_common/msg/NodeEntitiesInfo"]("/", name, *ends)
+                    node = types["rmw_dds_common/msg/NodeEntitiesInfo"](
+                        "/", name, *ends
+                    )
                     (gid_of_participant,) = gids([self.participant.guid])
-                    data = cdr.encoded(NODES, gid=gid_of_participant, node_entities_info_seq=[node])
+                    data = cdr.encoded(
+                        NODES, gid=gid_of_participant, node_entities_info_seq=[node]
+                    )
                     writer.write(ready(writer.topic.data_type, data))
                     announced = state
 

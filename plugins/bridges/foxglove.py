@@ -24,7 +24,9 @@ BACKLOG = 1024
 class FoxgloveSettings(BridgeSettings):
     """Settings of the bridge `foxglove`."""
 
-    host: str = setting("127.0.0.1", "address to listen at; others let other hosts in, unprotected")
+    host: str = setting(
+        "127.0.0.1", "address to listen at; others let other hosts in, unprotected"
+    )
     port: int = setting(8765, "port of the server; 0: a free one", low=0, high=65535)
 
     def check(self) -> None:
@@ -71,7 +73,9 @@ class FoxgloveBridge(Bridge[FoxgloveSettings]):
                 self._channels.of(f"{topic}/figures", figures)
         self.context.log(f"foxglove: {self.where()}")
         if self.settings.host not in LOOPBACK:
-            self.context.log("foxglove: whoever reaches that address can read the graph")
+            self.context.log(
+                "foxglove: whoever reaches that address can read the graph"
+            )
         return ()
 
     def where(self) -> str:

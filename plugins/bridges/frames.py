@@ -25,7 +25,16 @@ NONE = "none"
 """Values of `Layout.time`: the times at which messages were recorded; no times."""
 STAMP = "header.stamp"
 SOURCES = (
-    *("sensor_id", "sensor_name", "device_id", "board_id", "module_id", "skin_id", "side", "hand"),
+    *(
+        "sensor_id",
+        "sensor_name",
+        "device_id",
+        "board_id",
+        "module_id",
+        "skin_id",
+        "side",
+        "hand",
+    ),
     *("sensor", "device", "board", "module", "skin", "patch", "finger"),
 )
 """Members of messages that state which skin they are of."""
@@ -82,12 +91,16 @@ class MessageReader:
             member.name == "header" and member.kind == HEADER for member in members
         )
         stamps = [
-            member.name for member in members if member.kind == TIME and member.n_entries is None
+            member.name
+            for member in members
+            if member.kind == TIME and member.n_entries is None
         ]
         numbers = [
             member.name
             for member in members
-            if member.n_entries is None and member.kind in BASES and is_time_name(member.name)
+            if member.n_entries is None
+            and member.kind in BASES
+            and is_time_name(member.name)
         ]
 
         #: Where the times stand in a message; "" if they are those of the recording.
@@ -140,7 +153,9 @@ class MessageReader:
         """Raise OtherFrameError if the frame of a message is not the stated one."""
         numbers = [str(message[name]) for name in NUMBERED if name in message]
         if self._frame_id and self._frame_id not in (self.frame_of(message), *numbers):
-            raise OtherFrameError(f"frame_id {printable(self.frame_of(message)[:40])!r}")
+            raise OtherFrameError(
+                f"frame_id {printable(self.frame_of(message)[:40])!r}"
+            )
 
     def time_of(self, message: Message) -> int | float | None:
         if not self.time_path:
@@ -169,7 +184,9 @@ def fields_that_fit(message: Message, layout: Layout) -> dict[str, Numbers]:
     else:
         fields = paths_of(message, layout.channel)
     fitting = {
-        field: numbers for field, numbers in fields.items() if _fits(numbers, layout.n_stated)
+        field: numbers
+        for field, numbers in fields.items()
+        if _fits(numbers, layout.n_stated)
     }
     return fitting or fields
 
@@ -186,7 +203,8 @@ def choose_field(message: Message, layout: Layout, where: str) -> str:
         raise SourceError(f"{where}: {message.kind} holds no list of numbers")
     if len(fitting) > 1:
         fields_text = ", ".join(
-            f"{printable(field)} {size_text(numbers)}" for field, numbers in fitting.items()
+            f"{printable(field)} {size_text(numbers)}"
+            for field, numbers in fitting.items()
         )
         fault = f"{message.kind} holds {len(fitting)} fields of numbers: {fields_text[:300]}"
         options = [{"field": field} for field in fitting]

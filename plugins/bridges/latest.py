@@ -69,7 +69,9 @@ class LatestFrames:
         self._frame: Reconstruction | None = None
         self._held: dict[str, Floats] = {}
         self._seq = -1
-        self._thread = Thread(target=self._read, name=f"frames of {self._label}", daemon=True)
+        self._thread = Thread(
+            target=self._read, name=f"frames of {self._label}", daemon=True
+        )
         self._thread.start()
 
     def newest(self, after: int = 0, timeout_s: float = 0.0) -> Latest | None:
@@ -77,7 +79,9 @@ class LatestFrames:
         come in time. Raises GraphError once the graph has ended.
         """
         with self._news:
-            self._news.wait_for(lambda: self._why_ended or self._number > after, timeout_s)
+            self._news.wait_for(
+                lambda: self._why_ended or self._number > after, timeout_s
+            )
             if self._why_ended:
                 raise GraphError(self._why_ended)
             if self._number <= after:
@@ -111,7 +115,9 @@ class LatestFrames:
             self._skin = message
         elif isinstance(message, Reconstruction):
             if self._part not in (message.names or ("",)):
-                patches = [f"{message.patch}/{name}" for name in message.names] or [message.patch]
+                patches = [f"{message.patch}/{name}" for name in message.names] or [
+                    message.patch
+                ]
                 hint = did_you_mean(f"{message.patch}/{self._part}", patches)
                 raise GraphError(
                     f"{message.topic}: patch: {patches[0]} is one of {len(patches)}{hint}"
@@ -142,5 +148,7 @@ class LatestFrames:
             return
         with self._news:
             self._number += 1
-            self._latest = Latest(self._number, time.monotonic(), self._skin, frame, contacts)
+            self._latest = Latest(
+                self._number, time.monotonic(), self._skin, frame, contacts
+            )
             self._news.notify_all()

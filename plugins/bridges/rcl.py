@@ -52,14 +52,17 @@ class Member:
         quality = _quality(depth, reliable)
         publisher = self._node.create_publisher(_message_type(kind), topic, quality)
         return Writer(
-            publisher.get_subscription_count, lambda data: publisher.publish(data) is None
+            publisher.get_subscription_count,
+            lambda data: publisher.publish(data) is None,
         )
 
     def reader(self, topic: str, kind: str, depth: int, reliable: bool) -> Reader:
         """A reader of these messages."""
         waiting = deque[bytes](maxlen=depth)
         lost = deque[Any](maxlen=1)
-        events = SubscriptionEventCallbacks(message_lost=lambda event: lost.append(event))
+        events = SubscriptionEventCallbacks(
+            message_lost=lambda event: lost.append(event)
+        )
         self._node.create_subscription(
             _message_type(kind),
             topic,
@@ -105,4 +108,6 @@ def _message_type(kind: str) -> Any:
     try:
         return getattr(importlib.import_module(f"{package}.msg"), name)
     except ImportError as error:
-        raise SettingsError(f"{kind} needs the ROS package {package}: {error}") from error
+        raise SettingsError(
+            f"{kind} needs the ROS package {package}: {error}"
+        ) from error

@@ -14,7 +14,13 @@ from sparseskin.nodes.errors import SourceError
 from sparseskin.nodes.numerics.array_files import MAX_GROWN_BYTES, MAX_GROWTH
 from sparseskin.nodes.recorder.bag.records import MAGIC as MCAP_MAGIC
 from sparseskin.nodes.sensor.files.format import Format
-from sparseskin.nodes.sensor.files.recording import Block, File, Head, Recording, frames_per_block
+from sparseskin.nodes.sensor.files.recording import (
+    Block,
+    File,
+    Head,
+    Recording,
+    frames_per_block,
+)
 from sparseskin.nodes.sensor.layout.checks import choose, reading, unreadable
 from sparseskin.nodes.sensor.layout.layout import UnstatedError
 from sparseskin.nodes.sensor.layout.tally import Tally
@@ -142,7 +148,9 @@ class RosRecording(Recording):
         dtype = stream.first.numbers.values.dtype.newbyteorder("=")
         size = frames_per_block(stream.first.numbers.values.size)
         self.tally.begin()
-        reads = _Reads(self._name, stream, self.tally, self._layout.n_stated is not None)
+        reads = _Reads(
+            self._name, stream, self.tally, self._layout.n_stated is not None
+        )
         numbers = np.empty((size, *stream.shape), dtype)
         times: list[int | float] = []
         turns = Turns()
@@ -184,7 +192,9 @@ class RosRecording(Recording):
 
         firsts = self._firsts({topic: topics[topic] for topic in likely})
         choices = [
-            (topic, field) for topic, of_topic in firsts.items() for field in of_topic.fields
+            (topic, field)
+            for topic, of_topic in firsts.items()
+            for field in of_topic.fields
         ]
         if len(choices) > 1:
             raise self._unstated(firsts, choices)
@@ -221,11 +231,16 @@ class RosRecording(Recording):
         # Those of a recorder that was killed are not true.
         if not (self._is_closed and any(counts.values())):
             counts = {}
-        filled = {topic: described for topic, described in topics.items() if counts.get(topic) != 0}
+        filled = {
+            topic: described
+            for topic, described in topics.items()
+            if counts.get(topic) != 0
+        }
         likely = [
             topic
             for topic, described in filled.items()
-            if described.kind in KINDS or not Definitions(described.ros).is_of_ros(described.kind)
+            if described.kind in KINDS
+            or not Definitions(described.ros).is_of_ros(described.kind)
         ]
         return likely or list(filled)
 
@@ -252,7 +267,9 @@ class RosRecording(Recording):
             except (EmptyMessageError, OtherFrameError) as error:
                 faults.setdefault(topic, str(error))
             except UnstatedError as error:
-                raise UnstatedError(f"{self._name}: {topic}: {error}", *error.options) from error
+                raise UnstatedError(
+                    f"{self._name}: {topic}: {error}", *error.options
+                ) from error
             except SourceError as error:
                 faults[topic] = str(error)
                 tries[topic] += 1
@@ -263,7 +280,9 @@ class RosRecording(Recording):
             raise self._without_frames(topics, faults)
         return firsts
 
-    def _without_frames(self, topics: dict[str, Topic], faults: dict[str, str]) -> SourceError:
+    def _without_frames(
+        self, topics: dict[str, Topic], faults: dict[str, str]
+    ) -> SourceError:
         """The error that no topic holds frames, with what was wrong with each."""
         if len(topics) == 1 and faults:
             (topic,) = topics
@@ -302,7 +321,9 @@ class RosRecording(Recording):
         received = reader.received(numbers, message)
         return First(reader, fields, received)
 
-    def _unstated(self, firsts: dict[str, First], choices: list[tuple[str, str]]) -> UnstatedError:
+    def _unstated(
+        self, firsts: dict[str, First], choices: list[tuple[str, str]]
+    ) -> UnstatedError:
         """The error that names the topics and fields of which each can be meant."""
         options = []
         texts = []
@@ -323,7 +344,11 @@ class RosRecording(Recording):
         return UnstatedError(f"{self._name}: {fault}; state {keys}", *options)
 
     def _check_frames(
-        self, received: Received, messages: Iterator[Recorded], stream: Stream, turns: Turns
+        self,
+        received: Received,
+        messages: Iterator[Recorded],
+        stream: Stream,
+        turns: Turns,
     ) -> None:
         """Raise UnstatedError if a message is of another frame than the first one, or of another
         skin, whose messages take turns.
@@ -386,7 +411,9 @@ class RosRecording(Recording):
 class _Reads:
     """Reads the messages of a stream, and drops by name those that hold no frame."""
 
-    def __init__(self, name: str, stream: Stream, tally: Tally, is_stated: bool) -> None:
+    def __init__(
+        self, name: str, stream: Stream, tally: Tally, is_stated: bool
+    ) -> None:
         self._where = f"{name}: {stream.topic}"
         self._stream = stream
         self._tally = tally
@@ -417,17 +444,23 @@ class _Reads:
         """
         time = message.log_ns if self._stream.uses_log else received.time
         place = f"{self._where}: message {number}"
-        is_header_time = not self._stream.uses_log and self._stream.reader.time_unit == "ns"
+        is_header_time = (
+            not self._stream.uses_log and self._stream.reader.time_unit == "ns"
+        )
         if time is None or (is_header_time and time < (self._last_time or 0)):
             fault = "its stamp is before that of the one before it, or missing"
             hint = f"state time={LOG}, the times of the recording"
             fall_ns = (self._last_time or 0) - (time or 0)
             if time and fall_ns < SWAPPED_NS:
                 # By the times of the recording, the frames would keep a wrong order.
-                raise SourceError(f"{place}: {fault}, by {fall_ns / 1e9:.3g} s; {hint} and order")
+                raise SourceError(
+                    f"{place}: {fault}, by {fall_ns / 1e9:.3g} s; {hint} and order"
+                )
             raise UnstatedError(f"{place}: {fault}; {hint}", {"time": LOG})
         if self._stream.uses_log and time < (self._last_time or 0):
-            fault = f"was recorded before more than {WINDOW} messages that stand before it"
+            fault = (
+                f"was recorded before more than {WINDOW} messages that stand before it"
+            )
             raise SourceError(f"{place}: {fault}; {IN_ORDER}")
         self._last_time = time
         return time
@@ -448,7 +481,9 @@ class _Reads:
         """Raise SourceError if a message has its taxels in another order than the first one."""
         names = [axis.names for axis in received.numbers.axes]
         if names != [axis.names for axis in self._stream.first.numbers.axes]:
-            raise SourceError(f"{self._where}: the order of its taxels changes, as named in it")
+            raise SourceError(
+                f"{self._where}: the order of its taxels changes, as named in it"
+            )
 
 
 def open_storage(path: str, work: Workspace) -> Storage:
@@ -498,7 +533,9 @@ def _metadata(paths: tuple[str, ...]) -> Metadata | None:
     """
     metadata = metadata_of(Path(paths[0]).parent)
     names = {Path(path).name.removesuffix(".zstd") for path in paths}
-    if metadata is None or names != {name.removesuffix(".zstd") for name in metadata.files}:
+    if metadata is None or names != {
+        name.removesuffix(".zstd") for name in metadata.files
+    }:
         return None
     if metadata.mode not in ("", "none") and metadata.form not in ("", "zstd"):
         raise SourceError(f"{paths[0]}: {metadata.form} is not read; {CONVERT}")

@@ -23,7 +23,11 @@ OF_MAPS: dict[str, Form] = {
 OF_CONTACTS: dict[str, Form] = {
     "array": ("/array", cdr.ARRAY, lambda m, _: cdr.contact_array(m)),
     "wrench": ("/wrench", cdr.WRENCH, lambda m, _: cdr.contact_wrench(_time(m), m)),
-    "markers": ("/markers", cdr.MARKERS, lambda m, skin: cdr.contact_markers(_time(m), m, skin)),
+    "markers": (
+        "/markers",
+        cdr.MARKERS,
+        lambda m, skin: cdr.contact_markers(_time(m), m, skin),
+    ),
 }
 KINDS = tuple(OF_MAPS | OF_CONTACTS)
 
@@ -47,7 +51,9 @@ class Ros2Settings(BridgeSettings):
         "ROS_AUTOMATIC_DISCOVERY_RANGE and ROS_LOCALHOST_ONLY have it",
     )
     history: int = setting(10, "samples of a topic kept for readers", low=1, high=1000)
-    reliable: bool = setting(True, "send again what a reader has missed, as far as it is kept")
+    reliable: bool = setting(
+        True, "send again what a reader has missed, as far as it is kept"
+    )
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -85,14 +91,19 @@ class Ros2Bridge(Bridge[Ros2Settings]):
     def _announce(self, patch: str) -> None:
         """Make the writers of a patch; those of a batch come with their first frame."""
         settings = self.settings
-        forms_of = dict.fromkeys(settings.maps, OF_MAPS) | {Contacts.schema: OF_CONTACTS}
+        forms_of = dict.fromkeys(settings.maps, OF_MAPS) | {
+            Contacts.schema: OF_CONTACTS
+        }
         self._announced.add(patch)
         for schema, forms in forms_of.items():
             topic = topic_of(patch, schema)
             for kind, (ending, message_type, _) in forms.items():
                 if kind in settings.messages:
                     self._writers[f"{kind} {topic}"] = self._member.writer(
-                        topic + ending, message_type, settings.history, settings.reliable
+                        topic + ending,
+                        message_type,
+                        settings.history,
+                        settings.reliable,
                     )
 
     def where(self) -> str:

@@ -41,14 +41,18 @@ class Ros2Query(Settings):
 
     domain: int | None = setting(None, "DDS domain, as of the bridge", low=0, high=232)
     interface: str | None = setting(None, "network interface, as of the bridge")
-    timeout_s: float = setting(10.0, "longest wait for a message, seconds", low=0, high=86400)
+    timeout_s: float = setting(
+        10.0, "longest wait for a message, seconds", low=0, high=86400
+    )
 
 
 def parse(source: str) -> tuple[str, Ros2Query]:
     """Topic and query of a source. Raises SourceError if it is not ros2:/TOPIC?KEY=VALUE&..."""
     _, topic, query = split_source(source)
     if not topic.startswith("/") or len(topic) < 2:
-        raise SourceError(f"{source}: a topic of ROS 2 begins with /, as ros2:/tactile/image")
+        raise SourceError(
+            f"{source}: a topic of ROS 2 begins with /, as ros2:/tactile/image"
+        )
     try:
         return topic, Ros2Query(**typed(Ros2Query, query))
     except SparseskinError as error:
@@ -60,7 +64,17 @@ class Ros2Address(Address):
 
     delivers = "taxels"
     form = "ros2:/TOPIC"
-    keys = ("n_rows", "n_cols", *ARRANGED, "field", *TIMED, "unit", "f_max", "missing", "nan")
+    keys = (
+        "n_rows",
+        "n_cols",
+        *ARRANGED,
+        "field",
+        *TIMED,
+        "unit",
+        "f_max",
+        "missing",
+        "nan",
+    )
 
     def check(self) -> None:
         parse(self.source)
@@ -70,7 +84,9 @@ class Ros2Address(Address):
         self.check()
         # The frames are arranged already, by the labels of the messages, too.
         remaining = self.layout.stating({key: getattr(EMPTY, key) for key in ARRANGED})
-        return DriverSource(replace(self, layout=remaining), frames(self.source, self.layout))
+        return DriverSource(
+            replace(self, layout=remaining), frames(self.source, self.layout)
+        )
 
 
 class TopicFrames:
@@ -118,7 +134,9 @@ class TopicFrames:
             frame_ids = f"messages of several frames: {reference.frame_id!r}, {received.frame_id!r}"
             raise SourceError(f"{self._source}: {frame_ids[:120]}; state frame_id")
         if not self._layout.frame_id and self._turns.add(received.number):
-            fault = f"messages of several skins: {reference.number!r}, {received.number!r}"
+            fault = (
+                f"messages of several skins: {reference.number!r}, {received.number!r}"
+            )
             raise SourceError(f"{self._source}: {fault[:120]}; state frame_id")
         if numbers.values.shape != reference.numbers.values.shape:
             self._refuse("a shape that is not that of the first one")
@@ -154,7 +172,9 @@ class TopicFrames:
         self.why = why
 
 
-def frames(source: str, layout: Layout = EMPTY) -> Iterator[tuple[int, npt.NDArray[Any]]]:
+def frames(
+    source: str, layout: Layout = EMPTY
+) -> Iterator[tuple[int, npt.NDArray[Any]]]:
     """Yield (stamp_ns, forces) of each message: the stamp of its header, or of its arrival where it
     has none, or 0.
 
@@ -188,7 +208,11 @@ def frames(source: str, layout: Layout = EMPTY) -> Iterator[tuple[int, npt.NDArr
             if n_dropped > 2 * n_logged:
                 n_logged = n_dropped
                 counts = f"{read.n_refused} messages refused, {n_lost} lost"
-                print(f"{source}: {counts}; last refusal: {read.why}", file=sys.stderr, flush=True)
+                print(
+                    f"{source}: {counts}; last refusal: {read.why}",
+                    file=sys.stderr,
+                    flush=True,
+                )
 
 
 def _publication(member: Any, topic: str, timeout_s: float) -> tuple[str, bool]:

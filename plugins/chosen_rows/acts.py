@@ -46,7 +46,9 @@ class ActsPhi(SubsamplePhi):
     can_rotate = False  # the rows are chosen anew in each frame
     choice = "places"
     solvers = MappingProxyType(
-        {"interpolation": "sparseskin.plugins.chosen_rows.interpolation:InterpolationSolver"}
+        {
+            "interpolation": "sparseskin.plugins.chosen_rows.interpolation:InterpolationSolver"
+        }
     )
 
     def __init__(self, n: int, m: int, seed: int, block: int = BLOCK) -> None:
@@ -80,7 +82,9 @@ class ActsPhi(SubsamplePhi):
     def choose(self, taxels: Indices) -> None:
         """Set the taxels of a frame; PhiError unless they are m ascending indices in 0..n-1."""
         if taxels.shape != (self.m,):
-            raise PhiError(f"acts: {taxels.size} taxels are read; expected m = {self.m}")
+            raise PhiError(
+                f"acts: {taxels.size} taxels are read; expected m = {self.m}"
+            )
         is_ascending = (taxels[1:] > taxels[:-1]).all()
         if taxels[0] < 0 or taxels[-1] >= self.n or not is_ascending:
             raise PhiError(f"acts: the taxels are not ascending within 0..{self.n - 1}")
@@ -112,7 +116,9 @@ class ActsSearch:
     def __init__(self, exists: npt.NDArray[np.bool_], m: int, threshold: float) -> None:
         n = int(np.count_nonzero(exists))
         if not 1 <= m <= n:
-            raise PhiError(f"acts: m = {m} is not allowed; allowed: 1..{n} (n = {n} taxels)")
+            raise PhiError(
+                f"acts: m = {m} is not allowed; allowed: 1..{n} (n = {n} taxels)"
+            )
         self.m = m
         self._threshold = threshold
 

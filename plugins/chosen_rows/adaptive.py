@@ -64,7 +64,9 @@ class AdaptivePhi(Phi):
 
     kind = "adaptive"
     choice = "nodes"
-    solvers = MappingProxyType({"skin": "sparseskin.plugins.chosen_rows.solver:AdaptiveSkinSolver"})
+    solvers = MappingProxyType(
+        {"skin": "sparseskin.plugins.chosen_rows.solver:AdaptiveSkinSolver"}
+    )
 
     def __init__(self, n: int, m: int, seed: int, block: int = BLOCK) -> None:
         super().__init__(n, m, seed, block)
@@ -79,7 +81,9 @@ class AdaptivePhi(Phi):
         m_min = min(n, 1 + N_DETAILS)
         if m < m_min:
             allowed = f"{m_min}..{n} (n = {n} taxels)"
-            raise PhiError(f'phi "adaptive": m = {m} is not allowed; allowed: {allowed}')
+            raise PhiError(
+                f'phi "adaptive": m = {m} is not allowed; allowed: {allowed}'
+            )
 
     def _lay_out(self, exists: Mask) -> None:
         if self.exists is None or not np.array_equal(self.exists, exists):
@@ -114,7 +118,9 @@ class AdaptivePhi(Phi):
         try:
             nodes = self.tree.decoded(code)
         except ValueError as cause:
-            raise PhiError(f"adaptive: the code of the nodes is malformed: {cause}") from cause
+            raise PhiError(
+                f"adaptive: the code of the nodes is malformed: {cause}"
+            ) from cause
         self.choose(nodes)
 
     def forget(self) -> None:

@@ -62,7 +62,9 @@ class InterpolationSolver(Solver):
             read_cells = self._cells[phi.rows]
             other_cells = self._cells[self._unread]
             try:
-                self._corners, self._weights = interpolated_from(read_cells, other_cells)
+                self._corners, self._weights = interpolated_from(
+                    read_cells, other_cells
+                )
             except QhullError:  # no area between them
                 along_lines = True
         self._lines = LineInterpolation(self.mask) if along_lines else None
@@ -121,7 +123,9 @@ class LineInterpolation:
         directions = ((i, j), (j, i), (i - j, i), (i + j, i))
         for k, (line, along) in enumerate(directions):
             cells = np.lexsort((along, line))
-            _, starts, lengths = np.unique(line[cells], return_index=True, return_counts=True)
+            _, starts, lengths = np.unique(
+                line[cells], return_index=True, return_counts=True
+            )
             ends = starts + lengths - 1
             self._cells[k] = cells
             self._first[k] = k * n + starts.repeat(lengths)
@@ -158,7 +162,9 @@ class LineInterpolation:
         is_known_step = is_known[self._cells]
 
         # The known steps before and after each, on its line or beyond it.
-        previous = np.maximum.accumulate(np.where(is_known_step, self._steps, -1), axis=1)
+        previous = np.maximum.accumulate(
+            np.where(is_known_step, self._steps, -1), axis=1
+        )
         reversed_steps = np.where(is_known_step, self._steps, self._steps.size)[:, ::-1]
         following = np.minimum.accumulate(reversed_steps, axis=1)[:, ::-1]
 

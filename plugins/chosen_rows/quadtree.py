@@ -18,7 +18,9 @@ COARSE_PART = 0.25
 """Largest part of the measurements that the sums of all tiles take. Chosen."""
 N_PARTS = 4
 N_DETAILS = 3
-_HAAR = 0.5 * np.array([[1, 1, -1, -1], [1, -1, 1, -1], [1, -1, -1, 1]], dtype=np.float64)
+_HAAR = 0.5 * np.array(
+    [[1, 1, -1, -1], [1, -1, 1, -1], [1, -1, -1, 1]], dtype=np.float64
+)
 
 
 @dataclass(frozen=True)
@@ -89,7 +91,9 @@ class Quadtree:
         taxels_of_quarters = np.zeros((0, N_PARTS), dtype=np.intp)
         if squares:
             self.n_tiles = self.levels[0].size
-            taxels_of_quarters = np.concatenate([level.taxels for level in reversed(squares)])
+            taxels_of_quarters = np.concatenate(
+                [level.taxels for level in reversed(squares)]
+            )
             self.n_taxels = taxels_of_quarters.sum(axis=1)
 
         # A node has one detail less than it has quarters, 0..3.
@@ -143,7 +147,9 @@ class Quadtree:
         flat = np.zeros(self.n_nodes * N_DETAILS)
         flat[self.place_of_row[self.n_tiles :]] = rows[self.n_tiles :]
         read_details = flat.reshape(-1, N_DETAILS)
-        for level, _, details in self.descend(np.asarray(rows[: self.n_tiles], dtype=np.float64)):
+        for level, _, details in self.descend(
+            np.asarray(rows[: self.n_tiles], dtype=np.float64)
+        ):
             details[:] = read_details[level.first : level.first + level.size]
         return self.forces
 
@@ -157,7 +163,9 @@ class Quadtree:
         # A node is marked if it or a smaller one within it is chosen.
         marked = chosen.copy()
         for upper, lower in zip(self.levels[-2::-1], self.levels[:0:-1], strict=True):
-            marked_below = np.append(marked[lower.first : lower.first + lower.size], False)
+            marked_below = np.append(
+                marked[lower.first : lower.first + lower.size], False
+            )
             in_quarters = marked_below[upper.parts].any(axis=1)
             marked[upper.first : upper.first + upper.size] |= in_quarters
 

@@ -86,12 +86,16 @@ class AdaptiveSkinSolver(Solver):
         if phi.exists is None:
             phi.lay_out(self.mask)
         elif not np.array_equal(phi.exists, self.mask):
-            raise SolverError('solver "skin": phi "adaptive" is laid out on another grid')
+            raise SolverError(
+                'solver "skin": phi "adaptive" is laid out on another grid'
+            )
         self._rows_of: AdaptivePhi = phi
 
         # All taxels, as if they had been measured.
         self._whole = SbhePhi(n=phi.n, m=phi.n, seed=0)
-        self._filter = SkinSolver(self._whole, basis, self.mask, iterations=iterations, fast=fast)
+        self._filter = SkinSolver(
+            self._whole, basis, self.mask, iterations=iterations, fast=fast
+        )
         self.n_steps = self.iterations = self._filter.iterations
         self._held = HeldRows(phi)
         self._age = np.zeros(phi.tree.n_nodes)
@@ -161,7 +165,9 @@ class AdaptiveSkinSolver(Solver):
 
     def _expected(self) -> Doubles:
         """Expected squared change of each node's details since they were read."""
-        expected = self._held.changed2() + self._drift * np.minimum(self._age, SATURATED)
+        expected = self._held.changed2() + self._drift * np.minimum(
+            self._age, SATURATED
+        )
         # Forces are not negative: of an untouched node all are known.
         expected[self._held.sums <= self._rows_of.untouched] = 0
         return expected
@@ -187,7 +193,9 @@ class AdaptiveSkinSolver(Solver):
             self._changed = MEMORY * self._changed + (1 - MEMORY) * quotient
 
         drift = change2 / self._age[nodes]
-        self._drift[nodes] = DRIFT_MEMORY * self._drift[nodes] + (1 - DRIFT_MEMORY) * drift
+        self._drift[nodes] = (
+            DRIFT_MEMORY * self._drift[nodes] + (1 - DRIFT_MEMORY) * drift
+        )
         self._age[nodes] = 0
 
     def _judge(self, x: Floats) -> None:

@@ -73,7 +73,9 @@ def stream() -> Generator[float]:
 
     source = path_40()
     loop = sparseskin.Stream(source.skin.shape)
-    loop.reconstruct(loop.compress(np.zeros(source.skin.shape, np.float32)))  # it may compile
+    loop.reconstruct(
+        loop.compress(np.zeros(source.skin.shape, np.float32))
+    )  # it may compile
     loop.reset()
     begin_s = time.monotonic()
     for k, (_, frame) in enumerate(source):

@@ -63,7 +63,9 @@ def run(out: Path, quick: bool, seed: int, executor: str) -> list[str]:
     n_messages = QUICK_MESSAGES if quick else N_MESSAGES
     rows = []
     with ExitStack() as stack:
-        folder = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="sparseskin-loop-")))
+        folder = Path(
+            stack.enter_context(tempfile.TemporaryDirectory(prefix="sparseskin-loop-"))
+        )
         graph = stack.enter_context(running(folder))
         commands, absent = ways(folder, graph, n_messages)
         if "ros2" in commands:
@@ -104,11 +106,15 @@ def running(folder: Path) -> Iterator[RunningGraph]:
     folder_before = os.environ.get("SPARSESKIN_RUNTIME_DIR")
     os.environ["SPARSESKIN_RUNTIME_DIR"] = str(folder / "graphs")
     words = [sys.executable, "-m", "sparseskin", "launch", "loop.toml"]
-    with subprocess.Popen(words, cwd=folder, stderr=subprocess.PIPE, text=True) as process:
+    with subprocess.Popen(
+        words, cwd=folder, stderr=subprocess.PIPE, text=True
+    ) as process:
         try:
             assert process.stderr is not None
             if not any("[launch] ready" in line for line in process.stderr):
-                raise StudyError(f"the graph ended with {process.wait()} before it was ready")
+                raise StudyError(
+                    f"the graph ended with {process.wait()} before it was ready"
+                )
             # What it logs later is read, lest it waits for a reader.
             Thread(target=process.stderr.read, daemon=True).start()
             graph = choose_graph(None)
@@ -125,7 +131,15 @@ def running(folder: Path) -> Iterator[RunningGraph]:
 @contextmanager
 def bridge(folder: Path) -> Iterator[None]:
     """The bridge to ROS 2, on the loopback interface alone."""
-    words = [sys.executable, "-m", "sparseskin", "bridge", "ros2", "--set", f"domain={DOMAIN}"]
+    words = [
+        sys.executable,
+        "-m",
+        "sparseskin",
+        "bridge",
+        "ros2",
+        "--set",
+        f"domain={DOMAIN}",
+    ]
     words += ["--set", f"interface={LOOPBACK}", "--set", 'maps=["reconstruction"]']
     log = (folder / "bridge.log").open("w")
     with log, subprocess.Popen(words, cwd=folder, stdout=log, stderr=log) as process:
@@ -167,7 +181,15 @@ def compiled(folder: Path) -> tuple[str, str]:
     if shutil.which("g++") is None:
         return "", "g++ is not installed"
     program = str(folder / "ages")
-    words = ["g++", "-std=c++17", "-O2", str(sources / "ages.cpp"), "-o", program, "-lzmq"]
+    words = [
+        "g++",
+        "-std=c++17",
+        "-O2",
+        str(sources / "ages.cpp"),
+        "-o",
+        program,
+        "-lzmq",
+    ]
     compiler = subprocess.run(words, capture_output=True, text=True, check=False)
     if compiler.returncode:
         return program, "libzmq3-dev is not installed"
@@ -176,10 +198,14 @@ def compiled(folder: Path) -> tuple[str, str]:
 
 def ages_of(way: str, words: list[str], folder: Path) -> list[float]:
     """Ages that a program prints, ms, without its first `N_WARM_UP`."""
-    program = subprocess.run(words, cwd=folder, capture_output=True, text=True, check=False)
+    program = subprocess.run(
+        words, cwd=folder, capture_output=True, text=True, check=False
+    )
     ages_ms = [float(line) for line in program.stdout.split()]
     if program.returncode or len(ages_ms) <= N_WARM_UP:
-        raise StudyError(f"{WAYS[way]}: ended with {program.returncode}: {program.stderr[-500:]}")
+        raise StudyError(
+            f"{WAYS[way]}: ended with {program.returncode}: {program.stderr[-500:]}"
+        )
     return ages_ms[N_WARM_UP:]
 
 

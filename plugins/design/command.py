@@ -15,7 +15,17 @@ from sparseskin.nodes.sensor.layout.checks import shown
 from .spec import KEYS, SIZE_KEYS, Design, make_design, read_file
 from .strategies import FEW_SCENES, N_SCENES, STRATEGIES
 
-RARE_KEYS = ("points", "taxels", "pitch", "converters", "settling", "sums", "bits", "edge", "host")
+RARE_KEYS = (
+    "points",
+    "taxels",
+    "pitch",
+    "converters",
+    "settling",
+    "sums",
+    "bits",
+    "edge",
+    "host",
+)
 """Keys whose options most users leave out."""
 
 
@@ -27,7 +37,9 @@ def configure(parser: argparse.ArgumentParser) -> None:
         "both: options replace what the file states."
     )
     rare_options = rare(parser)
-    parser.add_argument("file", metavar="design.toml", nargs="?", type=Path, help="file of keys")
+    parser.add_argument(
+        "file", metavar="design.toml", nargs="?", type=Path, help="file of keys"
+    )
     for name, key in KEYS.items():
         about = key.about
         if key.default is not None:
@@ -42,7 +54,12 @@ def configure(parser: argparse.ArgumentParser) -> None:
     about = f"simulated scenes, 2..{N_SCENES}: more take longer (default: {FEW_SCENES})"
     scenes = range(2, N_SCENES + 1)
     rare_options.add_argument(
-        "--scenes", metavar="K", type=int, choices=scenes, default=FEW_SCENES, help=about
+        "--scenes",
+        metavar="K",
+        type=int,
+        choices=scenes,
+        default=FEW_SCENES,
+        help=about,
     )
     parser.set_defaults(run=_design)
 

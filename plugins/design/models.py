@@ -34,14 +34,18 @@ _QUANTITY = re.compile(r"(\d+(?:\.\d+)?(?:e[+-]?\d+)?)\s*([a-zA-Z/]*)", re.ASCII
 _MAX_CHARS = 40
 
 
-def quantity(text: object, units: dict[str, float], example: str, low: float, high: float) -> float:
+def quantity(
+    text: object, units: dict[str, float], example: str, low: float, high: float
+) -> float:
     """Return a quantity in SI units: a decimal number of at most 40 characters and one of `units`,
     which have their size in SI units ("": none is needed). Raises SettingsError, with an `example`,
     if the text has another form or unit, or the value is not in low..high.
     """
     match = _matched(_QUANTITY, text)
     if match is None:
-        raise SettingsError(f"{shown(text)}: expected a number with its unit, such as {example}")
+        raise SettingsError(
+            f"{shown(text)}: expected a number with its unit, such as {example}"
+        )
     number, unit = match.groups()
     if unit not in units:
         unit_names = [name for name in units if name]
@@ -103,7 +107,9 @@ def read_adc(text: object) -> Adc:
     """One converter that a text such as "10bit@200kS/s" states; SettingsError for other forms."""
     match = _matched(_ADC, text)
     if match is None:
-        raise SettingsError(f"{shown(text)}: expected bits and samples a second, as 10bit@200kS/s")
+        raise SettingsError(
+            f"{shown(text)}: expected bits and samples a second, as 10bit@200kS/s"
+        )
     bits = int(match[1])
     if not 4 <= bits <= 24:
         raise SettingsError(f"{shown(text)}: {bits} bits; allowed: 4..24")
@@ -210,16 +216,21 @@ def read_bus(text: object) -> Bus:
 
     rate = rate or KINDS[kind].default
     if not rate:
-        raise SettingsError(f"{shown(text)}: states no rate; expected such as {kind}:2M")
+        raise SettingsError(
+            f"{shown(text)}: states no rate; expected such as {kind}:2M"
+        )
 
     # CAN FD has a second rate, of the data.
     parts = [rate]
     if kind == "can-fd":
         parts = rate.split("/")
         if len(parts) != 2:
-            raise SettingsError(f"{shown(text)}: expected can-fd:ARBITRATION/DATA, as can-fd:1M/5M")
+            raise SettingsError(
+                f"{shown(text)}: expected can-fd:ARBITRATION/DATA, as can-fd:1M/5M"
+            )
     rates = tuple(
-        quantity(part.strip(), BITS_A_SECOND, "1M", LOWEST_BIT_S, HIGHEST_BIT_S) for part in parts
+        quantity(part.strip(), BITS_A_SECOND, "1M", LOWEST_BIT_S, HIGHEST_BIT_S)
+        for part in parts
     )
     if rates[-1] < rates[0]:
         raise SettingsError(f"{shown(text)}: data are slower than the arbitration")
@@ -276,7 +287,9 @@ def cost(strategy: str, n_taxels: int) -> Cost:
 @functools.cache
 def stored() -> dict[str, Any]:
     """The stored table: conditions, and `FIGURES` by taxels and strategy."""
-    return tomllib.loads((Path(__file__).parent / "costs.toml").read_text(encoding="utf-8"))
+    return tomllib.loads(
+        (Path(__file__).parent / "costs.toml").read_text(encoding="utf-8")
+    )
 
 
 CORTEX_M4 = "cortex-m4"

@@ -95,7 +95,9 @@ def larger_raster(mask: Mask, bits: int, m: int) -> Reader:
     return read
 
 
-def make_reader(strategy: Strategy, mask: Mask, noise: float, bits: int, seed: int) -> Reader:
+def make_reader(
+    strategy: Strategy, mask: Mask, noise: float, bits: int, seed: int
+) -> Reader:
     """Make the reader of a strategy on a skin, `mask` True where a taxel exists; `noise` of a taxel
     as a part of the range; `bits` of a value that is read or sent; `seed` of Phi. Raises PhiError
     or SolverError if the strategy is not possible on it.
@@ -256,7 +258,9 @@ def grid_of(design: Design) -> Mask:
     return cells.reshape(n_rows, side)
 
 
-def simulated(rows: Sequence[Row], design: Design, n_scenes: int = FEW_SCENES) -> list[Row]:
+def simulated(
+    rows: Sequence[Row], design: Design, n_scenes: int = FEW_SCENES
+) -> list[Row]:
     """Return rows with the accuracy of their strategies, each at the rate that it reaches, in the
     first `n_scenes` scenes; in a process each core, with a progress bar on stderr where that is a
     terminal. Raises SparseskinError as `simulate`.
@@ -280,7 +284,12 @@ def simulated(rows: Sequence[Row], design: Design, n_scenes: int = FEW_SCENES) -
     finished = computed(executor, _simulate, tasks)
     with closing(finished):  # it ends the workers if one of them fails
         progress = tqdm(
-            finished, "simulated", len(tasks), file=sys.stderr, disable=None, leave=False
+            finished,
+            "simulated",
+            len(tasks),
+            file=sys.stderr,
+            disable=None,
+            leave=False,
         )
         accuracies = {k: future.result() for k, future in progress}
     return [replace(row, accuracy=accuracies[k]) for k, row in enumerate(rows)]
@@ -310,7 +319,9 @@ def simulate(
         frames = presses(k, mask, noise, rate_hz, seed)
         dbs.append(np.mean(contact_db(reader, frames)))
     low, high = band(np.array(dbs))
-    touch = light_touch(make_reader(strategy, mask, noise, bits, seed), mask, noise, seed)
+    touch = light_touch(
+        make_reader(strategy, mask, noise, bits, seed), mask, noise, seed
+    )
     return Accuracy(float(np.mean(dbs)), low, high, touch)
 
 

@@ -48,20 +48,26 @@ EXAMPLE = "example:"
 
 def _placement(layout: object) -> Placement:
     """The virtual grid of a layout of points; SettingsError if it cannot be used."""
-    from sparseskin.plugins.points.placing import placed  # with it SciPy's interpolation
+    from sparseskin.plugins.points.placing import (
+        placed,
+    )  # with it SciPy's interpolation
 
     if not isinstance(layout, str):
         raise SettingsError(f"{shown(layout)}: expected a file, or example:torso")
     placement = placed(layout)
     if not 16 <= placement.points.n <= MAX_TAXELS:
-        raise SettingsError(f"{layout}: {placement.points.n} points; allowed: 16..{MAX_TAXELS}")
+        raise SettingsError(
+            f"{layout}: {placement.points.n} points; allowed: 16..{MAX_TAXELS}"
+        )
     return placement
 
 
 def _sums(value: object) -> str:
     if value not in (DIGITAL, ANALOG):
         text = str(value)[:40]
-        raise SettingsError(f"{text!r} is not allowed{nearest_of(text, (DIGITAL, ANALOG))}")
+        raise SettingsError(
+            f"{text!r} is not allowed{nearest_of(text, (DIGITAL, ANALOG))}"
+        )
     return str(value)
 
 
@@ -94,17 +100,29 @@ class Key:
 def _whole(default: Any, about: str, form: str, low: int, high: int) -> Key:
     def read(value: object) -> int:
         # Options are texts.
-        if isinstance(value, str) and value.isascii() and value.isdigit() and len(value) < 10:
+        if (
+            isinstance(value, str)
+            and value.isascii()
+            and value.isdigit()
+            and len(value) < 10
+        ):
             value = int(value)
         if not is_whole(value, low, high):
-            raise SettingsError(f"{shown(value)} is not allowed; allowed: {low}..{high}")
+            raise SettingsError(
+                f"{shown(value)} is not allowed; allowed: {low}..{high}"
+            )
         return int(value)
 
     return Key(default, about, form, read)
 
 
 def _quantity(
-    default: str, about: str, form: str, units: dict[str, float], low: float, high: float
+    default: str,
+    about: str,
+    form: str,
+    units: dict[str, float],
+    low: float,
+    high: float,
 ) -> Key:
     read = partial(quantity, units=units, example=default, low=low, high=high)
     return Key(default, about, form, read)
@@ -120,11 +138,17 @@ KEYS = {
     "n_cols": _whole(None, "columns of taxels", "C", 1, MAX_SIDE),
     "taxels": _whole(None, _TAXELS, "N", 16, MAX_TAXELS),
     "points": Key(None, _POINTS, "FILE", _placement),
-    "pitch": _quantity("4mm", "distance of neighbouring taxels", "LENGTH", LENGTH, 1e-5, 1.0),
+    "pitch": _quantity(
+        "4mm", "distance of neighbouring taxels", "LENGTH", LENGTH, 1e-5, 1.0
+    ),
     "rate": Key("1000", "frames a second that are asked for", "HZ", _rate),
-    "noise": _quantity("0.01N", "standard deviation of a taxel's noise", "FORCE", FORCE, 1e-9, 1e6),
+    "noise": _quantity(
+        "0.01N", "standard deviation of a taxel's noise", "FORCE", FORCE, 1e-9, 1e6
+    ),
     "range": _quantity("2.5N", "force at full scale", "FORCE", FORCE, 1e-6, 1e6),
-    "adc": Key("10bit@200kS/s", "bits and conversions a second of a converter", "ADC", read_adc),
+    "adc": Key(
+        "10bit@200kS/s", "bits and conversions a second of a converter", "ADC", read_adc
+    ),
     "converters": _whole(1, "converters that run at once", "K", 1, 1024),
     "settling": _quantity("0us", _SETTLING, "TIME", TIME, 0.0, 1.0),
     "sums": Key(DIGITAL, _SUMS, "digital|analog", _sums),
@@ -190,13 +214,17 @@ def read_file(path: Path) -> dict[str, Any]:
     return keys
 
 
-def make_design(stated: Mapping[str, Any], place: Place = lambda key: f"{key}: ") -> Design:
+def make_design(
+    stated: Mapping[str, Any], place: Place = lambda key: f"{key}: "
+) -> Design:
     """Check the keys of a design, each by itself and against the others; those not stated have
     their defaults. Raises SettingsError with a line for each that is not known or not allowed: what
     `place` returns for the key, value, what is allowed.
     """
     faults = [
-        f"{place(name)}unknown key{did_you_mean(name, KEYS)}" for name in stated if name not in KEYS
+        f"{place(name)}unknown key{did_you_mean(name, KEYS)}"
+        for name in stated
+        if name not in KEYS
     ]
     values: dict[str, Any] = dict.fromkeys(KEYS)
     for name, key in KEYS.items():
@@ -237,7 +265,9 @@ def _design_of(values: Mapping[str, Any], states_pitch: bool) -> Design:
     elif not n_taxels:
         n_taxels = n_rows * n_cols
 
-    adc = replace(values["adc"], converters=values["converters"], settling_s=values["settling"])
+    adc = replace(
+        values["adc"], converters=values["converters"], settling_s=values["settling"]
+    )
     return Design(
         n_rows=n_rows,
         n_cols=n_cols,
@@ -270,7 +300,10 @@ def _contradiction(values: Mapping[str, Any]) -> tuple[str, str] | None:
         n_cols = values["n_cols"]
         n = n_rows * n_cols
         if not 16 <= n <= MAX_TAXELS:
-            return "n_rows", f"{n_rows} x {n_cols} are {n} taxels; allowed: 16..{MAX_TAXELS}"
+            return (
+                "n_rows",
+                f"{n_rows} x {n_cols} are {n} taxels; allowed: 16..{MAX_TAXELS}",
+            )
     elif len(size_keys) > 1:
         return size_keys[-1], f"states the size once more; leave out {size_keys[0]}"
 

@@ -120,9 +120,13 @@ def conclusions(rows: Sequence[Row], design: Design) -> list[str]:
     rated = [row for row in met if not math.isnan(row.accuracy.psnr_db)]
     if rated:
         best = max(rated, key=lambda row: row.accuracy.psnr_db)
-        lines.append(f"The most accurate that reaches it: {_named(best)}, {_beside(best, full)}.")
+        lines.append(
+            f"The most accurate that reaches it: {_named(best)}, {_beside(best, full)}."
+        )
     small = min(met, key=lambda row: row.n_bytes)
-    lines.append(f"The fewest bytes that reach it: {_named(small)}, {_beside(small, full)}.")
+    lines.append(
+        f"The fewest bytes that reach it: {_named(small)}, {_beside(small, full)}."
+    )
     return lines
 
 
@@ -161,14 +165,17 @@ def _table(rows: Sequence[Row]) -> str:
         cells = [*heads, *(text(row) for row in rows)]
         width = max(map(len, cells))
         is_words = heading in ("way to read", "limit")
-        columns.append([cell.ljust(width) if is_words else cell.rjust(width) for cell in cells])
+        columns.append(
+            [cell.ljust(width) if is_words else cell.rjust(width) for cell in cells]
+        )
     return "\n".join("  ".join(cells).rstrip() for cells in zip(*columns, strict=True))
 
 
 def terminal(rows: Sequence[Row], design: Design) -> str:
     """The table of a design, what breaks first and notes, for a terminal."""
     breaking = [
-        f"{_filled(', '.join(names))}\n  {text}" for text, names in first_breaks(rows, design)
+        f"{_filled(', '.join(names))}\n  {text}"
+        for text, names in first_breaks(rows, design)
     ]
     parts = [
         _filled(

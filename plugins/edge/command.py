@@ -44,8 +44,12 @@ def configure(parser: argparse.ArgumentParser) -> None:
     about = "bits of a reading, 1..16: counts are 0 .. 2^bits - 1 (default: 12)"
     make.add_argument("--adc-bits", metavar="BITS", type=int, default=12, help=about)
     about = f"size of the Hadamard blocks (default: {BLOCK})"
-    rare_options.add_argument("--block", metavar="B", type=int, default=BLOCK, help=about)
-    rare_options.add_argument("--seed", type=int, default=0, help="seed of the matrix (default: 0)")
+    rare_options.add_argument(
+        "--block", metavar="B", type=int, default=BLOCK, help=about
+    )
+    rare_options.add_argument(
+        "--seed", type=int, default=0, help="seed of the matrix (default: 0)"
+    )
     make.add_argument(
         "--skin", metavar="skin.toml", type=Path, help="rows, columns, mask of a skin"
     )
@@ -71,7 +75,9 @@ def _export(arguments: argparse.Namespace) -> int:
     n_cols = arguments.n_cols
     if arguments.skin is not None:
         if n_rows is not None or n_cols is not None:
-            raise SettingsError("--skin: states rows and columns; leave out --n-rows and --n-cols")
+            raise SettingsError(
+                "--skin: states rows and columns; leave out --n-rows and --n-cols"
+            )
 
         from sparseskin.nodes.sensor.skin_file import load_skin
 
@@ -81,7 +87,9 @@ def _export(arguments: argparse.Namespace) -> int:
         mask = skin.mask
     elif n_rows is None or n_cols is None:
         missing = "--n-rows" if n_rows is None else "--n-cols"
-        raise SettingsError(f"{missing}: is missing; state --n-rows and --n-cols, or --skin")
+        raise SettingsError(
+            f"{missing}: is missing; state --n-rows and --n-cols, or --skin"
+        )
 
     with naming_options(_OPTIONS):
         described = EdgeDescription.chosen(

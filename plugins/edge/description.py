@@ -18,7 +18,13 @@ import numpy as np
 import numpy.typing as npt
 
 from sparseskin.messages.fields import MAX_SIDE
-from sparseskin.messages.quantised import Quantised, largest_code, n_bytes, packed, unpacked
+from sparseskin.messages.quantised import (
+    Quantised,
+    largest_code,
+    n_bytes,
+    packed,
+    unpacked,
+)
 from sparseskin.nodes.compressor.node import CompressorSettings
 from sparseskin.nodes.compressor.phi.base import BLOCK, RULES, SUMS
 from sparseskin.nodes.compressor.phi.rotation import (
@@ -62,31 +68,42 @@ class EdgeDescription(Settings):
     )
     seed: int = setting(0, "seed of the matrix", low=0, high=2**32 - 1)
     rule: int = setting(SUMS, "rule by which its rows are chosen, 1 or 3")
-    adc_bits: int = setting(12, "bits of a reading: counts are 0 .. 2^adc_bits - 1", low=1, high=16)
+    adc_bits: int = setting(
+        12, "bits of a reading: counts are 0 .. 2^adc_bits - 1", low=1, high=16
+    )
     mask: tuple[str, ...] | None = setting(
-        None, "a text a row, 1 where a taxel exists and 0 where none does; all do by default"
+        None,
+        "a text a row, 1 where a taxel exists and 0 where none does; all do by default",
     )
 
     def __post_init__(self) -> None:
         super().__post_init__()
         if self.block & (self.block - 1):
-            raise SettingsError(f"block: {self.block} is not a power of two (1, 2, 4 ...)")
+            raise SettingsError(
+                f"block: {self.block} is not a power of two (1, 2, 4 ...)"
+            )
         if self.rule not in RULES:
             allowed = ", ".join(map(str, RULES))
             raise SettingsError(f"rule: {self.rule} is not allowed; allowed: {allowed}")
         if self.n_cells > MAX_CELLS:
-            raise SettingsError(f"n_rows: {self.n_cells} cells; allowed: {MAX_CELLS} or fewer")
+            raise SettingsError(
+                f"n_rows: {self.n_cells} cells; allowed: {MAX_CELLS} or fewer"
+            )
         if self.mask is not None:
             self._check_mask(self.mask)
         if self.m > self.n_taxels:
-            raise SettingsError(f"m: {self.m} is not allowed; allowed: 1..{self.n_taxels}")
+            raise SettingsError(
+                f"m: {self.m} is not allowed; allowed: 1..{self.n_taxels}"
+            )
         if self.rows == ROTATING:
             check_subsets(self.n_taxels, self.m)
 
     def _check_mask(self, mask: tuple[str, ...]) -> None:
         """Raise SettingsError if a mask is not of this grid, or leaves no taxel."""
         if len(mask) != self.n_rows or {len(row) for row in mask} != {self.n_cols}:
-            raise SettingsError(f"mask: expected {self.n_rows} texts of {self.n_cols} characters")
+            raise SettingsError(
+                f"mask: expected {self.n_rows} texts of {self.n_cols} characters"
+            )
         if set("".join(mask)) - {"0", "1"}:
             raise SettingsError("mask: expected texts of 0 and 1")
         if not self.n_taxels:
@@ -167,7 +184,11 @@ class EdgeDescription(Settings):
         """The matrix of each row subset."""
         phi = SbhePhi(self.n_taxels, self.m, self.seed, self.block, self.rule)
         phis = row_subsets(phi, self.rows)
-        return [phi_of_subset for phi_of_subset in phis if isinstance(phi_of_subset, SbhePhi)]
+        return [
+            phi_of_subset
+            for phi_of_subset in phis
+            if isinstance(phi_of_subset, SbhePhi)
+        ]
 
     @cached_property
     def tags(self) -> dict[int, str]:
@@ -220,7 +241,9 @@ class EdgeDescription(Settings):
         version = values.pop("version", None)
         fingerprint = values.pop("fingerprint", None)
         if version != FILE_VERSION:
-            raise SettingsError(f"version: {version!r} is not allowed; allowed: {FILE_VERSION}")
+            raise SettingsError(
+                f"version: {version!r} is not allowed; allowed: {FILE_VERSION}"
+            )
         description = cls.from_mapping(values)
         for field in fields(cls):
             if field.name not in {*values, "mask"}:
@@ -262,19 +285,28 @@ class EdgeFrame(NamedTuple):
 
 def framing_of(description: EdgeDescription) -> Framing:
     return Framing(
-        _HEAD.size + description.code_bytes, start=b"\xaa\x55", sequence_bytes=2, checksum="crc16"
+        _HEAD.size + description.code_bytes,
+        start=b"\xaa\x55",
+        sequence_bytes=2,
+        checksum="crc16",
     )
 
 
-def frame_bytes(description: EdgeDescription, seq: int, phi: str, y: Quantised) -> bytes:
+def frame_bytes(
+    description: EdgeDescription, seq: int, phi: str, y: Quantised
+) -> bytes:
     """The bytes that the edge sends for frame `seq`, modulo 65536, of the matrix with fingerprint
     `phi`; `y`: measurements (m,) in counts, of `description.bits` bits.
     """
     head = _HEAD.pack(VERSION, int(phi[:8], 16), y.step)
-    return framing_of(description).encode(head + packed(y.codes(), description.bits), seq)
+    return framing_of(description).encode(
+        head + packed(y.codes(), description.bits), seq
+    )
 
 
-def compressed(description: EdgeDescription, frames: Iterable[Counts]) -> Iterator[bytes]:
+def compressed(
+    description: EdgeDescription, frames: Iterable[Counts]
+) -> Iterator[bytes]:
     """Yield the bytes that the edge sends for successive frames of counts, uint16 (n_rows, n_cols);
     those above full scale are read as full scale.
 

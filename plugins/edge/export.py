@@ -17,7 +17,14 @@ from .description import Counts, EdgeDescription, compressed
 
 DESCRIPTION = "edge.toml"
 COPIED = (
-    *("edge.h", "edge.c", "edge_tables.h", "edge_check.h", "edge_check.c", "edge_test.c"),
+    *(
+        "edge.h",
+        "edge.c",
+        "edge_tables.h",
+        "edge_check.h",
+        "edge_check.c",
+        "edge_test.c",
+    ),
     *("edge_stream.c", "Makefile", "cortex_m4/main.c", "cortex_m4/link.ld"),
     *("avr/main.c", "arduino/arduino.ino"),
 )
@@ -72,7 +79,9 @@ def config(description: EdgeDescription) -> str:
         "STEP_OF_ZEROS": f"0x{step_of_zeros:08x}u /* the step of a frame of zeros, float32 */",
         "FIRST_CELL": int(d.cells[0]),
     }
-    defines = "\n".join(f"#define EDGE_{name} {value}" for name, value in numbers.items())
+    defines = "\n".join(
+        f"#define EDGE_{name} {value}" for name, value in numbers.items()
+    )
     return _filled("edge_config.h.in", defines=defines, count_bits=8 * d.count_bytes)
 
 
@@ -85,7 +94,9 @@ def tables(description: EdgeDescription) -> str:
         mantissa, exponent = np.frexp(scale)
         log2_size = size.bit_length() - 1
         fraction = int(np.ldexp(float(mantissa), 32))
-        groups.append(f"{{{count}, {log2_size}, {int(exponent) - 1}, 0x{fraction:08x}u}}")
+        groups.append(
+            f"{{{count}, {log2_size}, {int(exponent) - 1}, 0x{fraction:08x}u}}"
+        )
 
     # A bit for each row of the Hadamard transform, set if it is measured.
     rows = []
@@ -131,7 +142,11 @@ def readme(description: EdgeDescription) -> str:
         "frame_bytes",
     )
     values = {name: getattr(d, name) for name in attributes}
-    values |= {"masked": of_mask, "n_subsets": len(d.subsets), "top": largest_code(d.bits)}
+    values |= {
+        "masked": of_mask,
+        "n_subsets": len(d.subsets),
+        "top": largest_code(d.bits),
+    }
     return _filled("README.md.in", tags=tags, **values)
 
 

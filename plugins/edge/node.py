@@ -52,7 +52,9 @@ def describe_wire(source: str, description: EdgeDescription, skin: Skin) -> Boar
             UdpPort.check(address, settings)
     framing = framing_of(description)
     # A payload is taken whole: nothing is decoded.
-    return Board(name, kind, address, settings, lambda *_: np.empty(0, np.float32), framing, skin)
+    return Board(
+        name, kind, address, settings, lambda *_: np.empty(0, np.float32), framing, skin
+    )
 
 
 class EdgeWire(BoardSource):
@@ -82,7 +84,10 @@ class EdgeSettings(PatchSettings):
     description: str = setting("edge.toml", "file that was exported with its program")
     unit: str | None = setting(None, "unit of the forces; counts if not stated")
     f_max: float | None = setting(
-        None, "force at full scale, in that unit; not stated: the largest count", low=1e-9, high=1e9
+        None,
+        "force at full scale, in that unit; not stated: the largest count",
+        low=1e-9,
+        high=1e9,
     )
     pitch_m: float | None = setting(
         None, "distance between neighbouring taxels, metres", low=1e-6, high=10.0
@@ -123,12 +128,15 @@ class Edge(SourceNode[EdgeSettings]):
         self._n_logged = 0
         self._stamp_ns = 0
         with naming("source"):
-            self._wire = EdgeWire(describe_wire(settings.source, self._described, self.skin))
+            self._wire = EdgeWire(
+                describe_wire(settings.source, self._described, self.skin)
+            )
 
     @classmethod
     def outputs(cls, settings: EdgeSettings) -> tuple[str, ...]:
         return tuple(
-            topic_of(settings.patch, cls.schema) for cls in (SkinState, PhiState, Measurements)
+            topic_of(settings.patch, cls.schema)
+            for cls in (SkinState, PhiState, Measurements)
         )
 
     @classmethod
@@ -137,7 +145,10 @@ class Edge(SourceNode[EdgeSettings]):
         return {
             topic_of(settings.patch, SkinState.schema): described.n_taxels,
             topic_of(settings.patch, PhiState.schema): described.phi.kind,
-            topic_of(settings.patch, Measurements.schema): lambda n: (described.rows, described.m),
+            topic_of(settings.patch, Measurements.schema): lambda n: (
+                described.rows,
+                described.m,
+            ),
         }
 
     def start(self) -> Iterable[Message]:
@@ -219,7 +230,11 @@ class Edge(SourceNode[EdgeSettings]):
         return text
 
     def report(self) -> dict[str, Any]:
-        figures = {**self._wire.figures(), "frames": self._n_frames, "other_matrix": self._n_other}
+        figures = {
+            **self._wire.figures(),
+            "frames": self._n_frames,
+            "other_matrix": self._n_other,
+        }
         return {**self._wire.report(), "board": figures}
 
     def close(self, counts: dict[str, Any]) -> None:

@@ -38,9 +38,12 @@ class _Points(PointSkins):
         from .files import EXAMPLE
 
         entries = [
-            {"name": f"{EXAMPLE}{name}", "about": about(make)} for name, make in EXAMPLES.items()
+            {"name": f"{EXAMPLE}{name}", "about": about(make)}
+            for name, make in EXAMPLES.items()
         ]
-        title = "layouts: for sensor.points; or a file of places, .csv or an iCub's .txt"
+        title = (
+            "layouts: for sensor.points; or a file of places, .csv or an iCub's .txt"
+        )
         return (Listing("layouts", title, entries),)
 
 

@@ -78,7 +78,9 @@ def torso(n: int = TORSO_POINTS) -> Layout:
 def _sections() -> tuple[PchipInterpolator, PchipInterpolator]:
     """Half width and half depth of the torso by its height, metres."""
     heights = _TORSO[:, 0]
-    return PchipInterpolator(heights, _TORSO[:, 1]), PchipInterpolator(heights, _TORSO[:, 2])
+    return PchipInterpolator(heights, _TORSO[:, 1]), PchipInterpolator(
+        heights, _TORSO[:, 2]
+    )
 
 
 def _rings(pitch: float) -> tuple[Doubles, Indices, Doubles]:

@@ -25,7 +25,12 @@ from sparseskin.nodes.errors import SourceError
 from sparseskin.nodes.lookup import did_you_mean
 from sparseskin.nodes.numerics.arrays import Doubles, Indices, Mask
 from sparseskin.nodes.sensor.files.recording import Lines
-from sparseskin.nodes.sensor.layout.checks import parse_number, parse_whole, reading, shown
+from sparseskin.nodes.sensor.layout.checks import (
+    parse_number,
+    parse_whole,
+    reading,
+    shown,
+)
 
 from .examples import EXAMPLES
 
@@ -132,7 +137,9 @@ def load_points(layout: str) -> Points:
     if layout.startswith(EXAMPLE):
         name = layout.removeprefix(EXAMPLE)
         if name not in EXAMPLES:
-            raise SourceError(f"{layout}: no such example{did_you_mean(name, EXAMPLES)}")
+            raise SourceError(
+                f"{layout}: no such example{did_you_mean(name, EXAMPLES)}"
+            )
         places, normals = EXAMPLES[name]()
         order = np.arange(len(places))
         return Points(name, places, normals, order, len(places), layout=layout)
@@ -277,7 +284,10 @@ def _points(
         of_some = ""
         if not is_unknown.all():
             of_some = f" of {np.count_nonzero(is_unknown)} taxels"
-        notes = (*notes, f"the normals{of_some} are estimated from the places of neighbours")
+        notes = (
+            *notes,
+            f"the normals{of_some} are estimated from the places of neighbours",
+        )
     is_stated = ~is_unknown
     if is_stated.any():
         unit[is_stated] = normals[is_stated] / lengths[is_stated, None]
@@ -286,7 +296,10 @@ def _points(
         distances, _ = cKDTree(places).query(places, 2)
         nearest = float(np.median(distances[:, 1]))
         if nearest and not USUAL_M[0] <= nearest <= USUAL_M[1]:
-            notes = (*notes, f"taxels are {1000 * nearest:.3g} mm apart: is the unit right?")
+            notes = (
+                *notes,
+                f"taxels are {1000 * nearest:.3g} mm apart: is the unit right?",
+            )
 
     layout = str(Path(name).resolve())
     return Points(Path(name).stem, places, unit, slots, n_slots, notes, layout)

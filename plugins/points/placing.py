@@ -75,7 +75,15 @@ class Placement:
         rows = np.concatenate([self.points.places, self.points.normals], axis=1)[order]
         points = np.ascontiguousarray(rows, dtype=np.float32)
         exists = None if mask.all() else mask
-        return Skin(*self.shape, f_max, unit, self.pitch_m, exists, points, self.point_rows(mask))
+        return Skin(
+            *self.shape,
+            f_max,
+            unit,
+            self.pitch_m,
+            exists,
+            points,
+            self.point_rows(mask),
+        )
 
     def point_rows(self, exists: Mask) -> npt.NDArray[np.int32]:
         """Row of each taxel of a mask of the grid among those of the file, int32 (n_taxels,)."""
@@ -92,7 +100,10 @@ class Placement:
         """Number of taxels, grid and distance, and the notes on the points, for a log."""
         parts = f", {self.n_parts} parts" if self.n_parts > 1 else ""
         grid = f"{self.shape[0]} x {self.shape[1]}{parts}, {1000 * self.pitch_m:.3g} mm apart"
-        lines = [f"{self.points.n} taxels on a virtual grid of {grid}", *self.points.notes]
+        lines = [
+            f"{self.points.n} taxels on a virtual grid of {grid}",
+            *self.points.notes,
+        ]
         return [f"{self.points.name}: {line}" for line in lines]
 
     def check_size(self, n_readings: int) -> None:
@@ -106,7 +117,9 @@ class Placement:
                 f"{points.name}: a frame has {n_readings} readings; expected {allowed}, one a taxel"
             )
 
-    def on_grid(self, values: npt.NDArray[Any], unused: float = 0.0) -> npt.NDArray[Any]:
+    def on_grid(
+        self, values: npt.NDArray[Any], unused: float = 0.0
+    ) -> npt.NDArray[Any]:
         """n or n_slots readings of any shape, in the order of the layout, on the grid: shape
         `shape`, same dtype, `unused` in cells without a taxel. Raises SourceError if their number
         is another.
@@ -200,7 +213,9 @@ def _lattice_of_part(places: Doubles, normals: Doubles, edges: Edges) -> Doubles
     # Steps to the neighbours in the axes of the lattice, in its spacing.
     spacing = _spacing(plane, edges)
     spacing_of_edge = 0.5 * (spacing[edges.a] + spacing[edges.b])
-    angle_of_edge = angle[edges.a] + 0.5 * _wrapped(angle[edges.b] - angle[edges.a], order)
+    angle_of_edge = angle[edges.a] + 0.5 * _wrapped(
+        angle[edges.b] - angle[edges.a], order
+    )
     steps = plane[edges.b] - plane[edges.a]
     steps = _turned(steps, -angle_of_edge) / spacing_of_edge[:, None]
     steps = steps @ np.linalg.inv(_AXES[order]).T
@@ -214,7 +229,9 @@ def _squarest(plane: Doubles) -> Doubles:
     def area(turned: Doubles) -> float:
         return float(np.prod(np.ptp(turned, axis=0)))
 
-    turns = [_turned(plane, np.full(len(plane), angle)) for angle in np.radians(range(90))]
+    turns = [
+        _turned(plane, np.full(len(plane), angle)) for angle in np.radians(range(90))
+    ]
     return min(turns, key=area)
 
 
@@ -386,7 +403,9 @@ def _matched(wanted: Doubles, rounded: Indices, window: int) -> Indices | None:
     cells_in_reach, cell_numbers = np.unique(flat, return_inverse=True)
     k = flat.shape[1]
     row_begins = np.arange(0, n * k + 1, k)
-    graph = csr_matrix((cost.ravel(), cell_numbers.ravel(), row_begins), (n, len(cells_in_reach)))
+    graph = csr_matrix(
+        (cost.ravel(), cell_numbers.ravel(), row_begins), (n, len(cells_in_reach))
+    )
     try:
         _, chosen_cells = min_weight_full_bipartite_matching(graph)
     except ValueError:  # no full matching

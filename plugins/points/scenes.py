@@ -136,7 +136,9 @@ class PointScene(Source):
                 k = 0
                 if not scene.presses:
                     k = round(max(0.0, t_s - REST_S) / DT_S) % len(course.places)
-                if candidates is None:  # within a frame, a body moves by less than a millimetre
+                if (
+                    candidates is None
+                ):  # within a frame, a body moves by less than a millimetre
                     candidates = self._candidates(course, k)
                 bed, touched = self._bed(course, k, q, candidates)
                 total[touched] += bed.forces(q, v)
@@ -158,7 +160,9 @@ class PointScene(Source):
         reach = scene.radius_m + self._radius + 0.5 * scene.length_m + 2 * _REACH_M
         return np.array(self._tree.query_ball_point(middle, reach), dtype=np.intp)
 
-    def _bed(self, course: _Course, k: int, q: Doubles, candidates: Indices) -> tuple[Bed, Indices]:
+    def _bed(
+        self, course: _Course, k: int, q: Doubles, candidates: Indices
+    ) -> tuple[Bed, Indices]:
         """Those of the candidates that are near the body, and their numbers."""
         scene = self._scene
         normals = self._placement.points.normals[candidates]

@@ -143,7 +143,9 @@ def flattened(places: Doubles, normals: Doubles, edges: Edges) -> Doubles:
 
 def summed(at: Indices, values: Doubles, n: int) -> Doubles:
     """Sums of the rows of `values`, (n_edges, k), by their point: float64 (n, k)."""
-    return np.stack([np.bincount(at, column, minlength=n) for column in values.T], axis=1)
+    return np.stack(
+        [np.bincount(at, column, minlength=n) for column in values.T], axis=1
+    )
 
 
 def _tangents(places: Doubles, normals: Doubles, edges: Edges) -> Doubles:

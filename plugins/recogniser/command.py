@@ -12,15 +12,21 @@ from .models import READS, SUFFIX
 
 def configure(parser: argparse.ArgumentParser) -> None:
     """Add the arguments of `tasks`."""
-    add = add_commands(parser, "Label what presses: models for a node of type recogniser.")
+    add = add_commands(
+        parser, "Label what presses: models for a node of type recogniser."
+    )
     make = add("train", _train, "train a model by recordings and labels")
-    make.add_argument("recordings", metavar="RECORDING", nargs="+", help="recording of any format")
+    make.add_argument(
+        "recordings", metavar="RECORDING", nargs="+", help="recording of any format"
+    )
     about = "table, CSV: recording, label; and begin_s, end_s in it, if it has several labels"
     make.add_argument("--labels", metavar="FILE", type=Path, required=True, help=about)
     about = "file to write, a new one (default: %(default)s)"
     out = Path(f"model{SUFFIX}")
     make.add_argument("--out", metavar="FILE", type=Path, default=out, help=about)
-    about = "what the node will read (default: %(default)s; readings where there is none)"
+    about = (
+        "what the node will read (default: %(default)s; readings where there is none)"
+    )
     make.add_argument("--reads", choices=READS, default=READS[0], help=about)
 
 
@@ -37,7 +43,9 @@ def _train(arguments: argparse.Namespace) -> int:
 
     check_installed("tasks train")
     if arguments.out.suffix != SUFFIX:
-        raise SettingsError(f"--out {arguments.out}: expected a name that ends in {SUFFIX}")
+        raise SettingsError(
+            f"--out {arguments.out}: expected a name that ends in {SUFFIX}"
+        )
     import joblib  # noqa: TID251  (it writes; models.py reads)
 
     from . import training
@@ -57,5 +65,7 @@ def _train(arguments: argparse.Namespace) -> int:
     n, n_inputs = examples.inputs.shape
     print(f"{n} frames of {n_inputs} numbers: {', '.join(counts)}")
     print(f"{100 * share:.0f} % of the frames held out are recognised")
-    print(f'{arguments.out}: written; use it: model = "{arguments.out}" of a node recogniser')
+    print(
+        f'{arguments.out}: written; use it: model = "{arguments.out}" of a node recogniser'
+    )
     return 0

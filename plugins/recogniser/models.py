@@ -41,7 +41,9 @@ def check_name(name: str) -> None:
     """Raise SettingsError unless this names a class, or a joblib file that is the user's own."""
     if not name.endswith(SUFFIX):
         if ":" not in name:
-            raise SettingsError(f'{name!r}: expected "module:Class", or a file {SUFFIX} of yours')
+            raise SettingsError(
+                f'{name!r}: expected "module:Class", or a file {SUFFIX} of yours'
+            )
         return
 
     try:
@@ -72,14 +74,20 @@ def load_model(name: str) -> Model:
             raise SettingsError(f"{name}: {one_line(error)}") from error
 
     # What scikit-learn's classifiers have is asked for, and no class of it.
-    if not callable(getattr(model, "predict_proba", None)) or not hasattr(model, "classes_"):
+    if not callable(getattr(model, "predict_proba", None)) or not hasattr(
+        model, "classes_"
+    ):
         kind = type(model).__name__
-        raise SettingsError(f"{name}: {kind} has no predict_proba and classes_, as models have")
+        raise SettingsError(
+            f"{name}: {kind} has no predict_proba and classes_, as models have"
+        )
     labels = [str(label) for label in np.asarray(model.classes_).ravel()]
     for label in labels:
         if not label.isprintable() or len(label) > MAX_LABEL:
             allowed = f"at most {MAX_LABEL} printable characters"
-            raise SettingsError(f"{name}: label {label[:MAX_LABEL]!r}; allowed: {allowed}")
+            raise SettingsError(
+                f"{name}: label {label[:MAX_LABEL]!r}; allowed: {allowed}"
+            )
     checked: Model = model
     return checked
 
@@ -95,4 +103,6 @@ def _unpickled(path: Path) -> Any:
     try:
         return joblib.load(path)
     except Exception as error:
-        raise SettingsError(f"{path}: no model can be read: {one_line(error)}") from error
+        raise SettingsError(
+            f"{path}: no model can be read: {one_line(error)}"
+        ) from error

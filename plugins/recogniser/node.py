@@ -8,7 +8,14 @@ from typing import Any
 
 import numpy as np
 
-from sparseskin.messages import Labels, Measurements, Message, PhiState, Reconstruction, topic_of
+from sparseskin.messages import (
+    Labels,
+    Measurements,
+    Message,
+    PhiState,
+    Reconstruction,
+    topic_of,
+)
 from sparseskin.nodes.compressor.phi.rotation import ROTATING
 from sparseskin.nodes.errors import RefusedError, SettingsError
 from sparseskin.nodes.lookup import one_line
@@ -31,7 +38,9 @@ class RecogniserSettings(PatchSettings):
         'the model: "module:Class", or a joblib file, which is code: yours only, from nobody else',
     )
     reads: str = setting(
-        READS[0], "topic that it reads; of measurements with fixed rows alone", choices=READS
+        READS[0],
+        "topic that it reads; of measurements with fixed rows alone",
+        choices=READS,
     )
     least: float = setting(
         0.5, "share below which a frame has no label", low=0.0, high=1.0, live=True
@@ -55,7 +64,9 @@ class Recogniser(Node[RecogniserSettings]):
             self._model = load_model(settings.model)
         trained_on = getattr(self._model, "reads", "")
         if trained_on and trained_on != settings.reads:
-            raise SettingsError(f"reads: the model was trained on {trained_on}, state that")
+            raise SettingsError(
+                f"reads: the model was trained on {trained_on}, state that"
+            )
         self._labels = [str(label) for label in self._model.classes_]
         self._n_inputs: int | None = getattr(self._model, "n_features_in_", None)
         self._phi: str = getattr(self._model, "phi", "")
@@ -113,7 +124,9 @@ class Recogniser(Node[RecogniserSettings]):
         """Inputs of the model, float32 (1, d)."""
         assert isinstance(message, Reconstruction | Measurements)
         if message.names:
-            raise RefusedError(f"{message.topic}: holds several patches; a recogniser reads one")
+            raise RefusedError(
+                f"{message.topic}: holds several patches; a recogniser reads one"
+            )
         if self._phi and message.phi != self._phi:
             raise RefusedError(
                 f"{message.topic}: made by Phi {message.phi}, but the model was trained on "
@@ -136,7 +149,9 @@ class Recogniser(Node[RecogniserSettings]):
         try:
             (shares,) = np.asarray(self._model.predict_proba(values), dtype=np.float64)
         except Exception as error:
-            raise RefusedError(f"model {self.settings.model}: {one_line(error)}") from error
+            raise RefusedError(
+                f"model {self.settings.model}: {one_line(error)}"
+            ) from error
         if shares.shape != (len(self._labels),) or not np.isfinite(shares).all():
             raise RefusedError(
                 f"model {self.settings.model}: expected {len(self._labels)} finite shares"

@@ -69,7 +69,9 @@ def read_labels(path: Path) -> list[Span]:
         reason = getattr(error, "strerror", None) or "no CSV in UTF-8"
         raise SparseskinError(f"{path}: {reason}") from error
     if not rows or any(name not in rows[0] for name in COLUMNS):
-        raise SparseskinError(f"{path}: expected columns {', '.join(COLUMNS)}[, begin_s, end_s]")
+        raise SparseskinError(
+            f"{path}: expected columns {', '.join(COLUMNS)}[, begin_s, end_s]"
+        )
     if len(rows) > MOST_ROWS:
         raise SparseskinError(f"{path}: more than {MOST_ROWS} rows")
     return [_span(f"{path}:{k}", row) for k, row in enumerate(rows, start=2)]
@@ -78,7 +80,9 @@ def read_labels(path: Path) -> list[Span]:
 def _span(place: str, row: dict[str, Any]) -> Span:
     label = str(row["label"] or "").strip()
     if not label or not label.isprintable() or len(label) > MAX_LABEL:
-        raise SparseskinError(f"{place}: label {label!r}; allowed: 1..{MAX_LABEL} characters")
+        raise SparseskinError(
+            f"{place}: label {label!r}; allowed: 1..{MAX_LABEL} characters"
+        )
     times = []
     defaults = (0.0, np.inf)
     for name, default in zip(SPAN, defaults, strict=True):
@@ -88,7 +92,9 @@ def _span(place: str, row: dict[str, Any]) -> Span:
         except ValueError as error:
             raise SparseskinError(f"{place}: {name} {text!r} is no number") from error
     if not 0 <= times[0] < times[1]:
-        raise SparseskinError(f"{place}: begin_s {times[0]:g} is not in 0 .. end_s {times[1]:g}")
+        raise SparseskinError(
+            f"{place}: begin_s {times[0]:g} is not in 0 .. end_s {times[1]:g}"
+        )
     return Span(str(row["recording"] or "").strip(), label, *times)
 
 
@@ -106,7 +112,9 @@ def examples(paths: Sequence[str], spans: Sequence[Span], reads: str) -> Example
     for path in paths:
         frames, seconds = _frames(path, reads)
         names = {path, os.path.basename(path), Path(path).stem}
-        spans_of_recording = [(k, span) for k, span in enumerate(spans) if span.recording in names]
+        spans_of_recording = [
+            (k, span) for k, span in enumerate(spans) if span.recording in names
+        ]
         if not spans_of_recording:
             raise SparseskinError(f"{path}: no row of the table of labels names it")
 
@@ -125,8 +133,12 @@ def examples(paths: Sequence[str], spans: Sequence[Span], reads: str) -> Example
 
     unused = {span.recording for span in spans} - set(_names(paths))
     if unused:
-        raise SparseskinError(f"labels of {sorted(unused)[0]!r}: no such recording is stated")
-    return _evenly(Examples(np.concatenate(inputs), np.array(labels), np.array(numbers)))
+        raise SparseskinError(
+            f"labels of {sorted(unused)[0]!r}: no such recording is stated"
+        )
+    return _evenly(
+        Examples(np.concatenate(inputs), np.array(labels), np.array(numbers))
+    )
 
 
 def _names(paths: Iterable[str]) -> Iterable[str]:
@@ -175,7 +187,9 @@ def held_out(given_examples: Examples) -> np.ndarray[Any, np.dtype[np.bool_]]:
     return marks
 
 
-def train(given_examples: Examples, reads: str, phi: str = "") -> tuple[TrainedModel, float]:
+def train(
+    given_examples: Examples, reads: str, phi: str = ""
+) -> tuple[TrainedModel, float]:
     """Train a model on all examples; and the share of those that are right of a test, of a model
     that was trained without them. Raises SparseskinError if there are too few.
     """
@@ -207,7 +221,11 @@ def phi_of(paths: Sequence[str], reads: str) -> str:
     fingerprints: set[str] = set()
     for path in paths:
         with BagReader(path) as bag:
-            topics = [topic for topic in bag.topics if topic.endswith(f"/{Measurements.schema}")]
+            topics = [
+                topic
+                for topic in bag.topics
+                if topic.endswith(f"/{Measurements.schema}")
+            ]
             for message, _ in streams(bag, topics, "phi"):
                 assert isinstance(message, Measurements)
                 fingerprints.add(message.phi)

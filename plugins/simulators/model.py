@@ -56,7 +56,9 @@ def split_address(source: str) -> tuple[str, str]:
     """Path and site of an address; SourceError if a part is missing."""
     path, mark, site = source.removeprefix(MUJOCO).rpartition("#")
     if not (path and mark and site):
-        raise SourceError(f"{source}: expected {FORM}, with the name of a box site of the model")
+        raise SourceError(
+            f"{source}: expected {FORM}, with the name of a box site of the model"
+        )
     return path, site
 
 
@@ -134,7 +136,9 @@ def find_pad(model: Any, site: str, path: str) -> Pad:
         hint = did_you_mean(site, boxes) or " (it has no box site)"
         raise SourceError(f"{path}: has no site {site[:80]!r}{hint}")
     if site not in boxes:
-        raise SourceError(f"{path}: site {site!r} is no box; a skin is the face of a box at its +z")
+        raise SourceError(
+            f"{path}: site {site!r} is no box; a skin is the face of a box at its +z"
+        )
 
     def constant(name: str, default: float, low: float, high: float) -> float:
         numeric = f"{site}_{name}"

@@ -126,7 +126,9 @@ class MujocoSource(Source):
             try:
                 self._control(self.model, data, float(data.time))
             except Exception as error:
-                raise SourceError(f"{self._source}: control failed: {one_line(error)}") from error
+                raise SourceError(
+                    f"{self._source}: control failed: {one_line(error)}"
+                ) from error
         elif self._schedule is not None:
             _follow(self.model, data, self._schedule)
 
@@ -159,7 +161,9 @@ def _follow(model: Any, data: Any, times: Doubles) -> None:
     part = np.clip((data.time - times[preceding]) / span_s, 0.0, 1.0)
 
     def between(values: Doubles) -> Doubles:
-        values_now: Doubles = (1.0 - part) * values[preceding] + part * values[following]
+        values_now: Doubles = (1.0 - part) * values[preceding] + part * values[
+            following
+        ]
         return values_now
 
     data.ctrl[:] = between(model.key_ctrl)

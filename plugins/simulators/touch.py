@@ -165,7 +165,9 @@ class Touch:
         for body in set(bodies[touched_taxels].tolist()):
             on_it = bodies[touched_taxels] == body
             speeds[on_it] += self._speeds(body, points[touched_taxels][on_it], normal)
-        forces[touched_taxels] = np.maximum(pad.stiffness * depths - pad.damping * speeds, 0.0)
+        forces[touched_taxels] = np.maximum(
+            pad.stiffness * depths - pad.damping * speeds, 0.0
+        )
         return forces, points, bodies
 
     def _under(self, near: Indices, middle: Doubles, axes: Doubles) -> Indices:

@@ -11,10 +11,21 @@ import numpy as np
 
 from sparseskin.nodes.errors import SourceError
 from sparseskin.nodes.numerics.arrays import Doubles
-from sparseskin.nodes.sensor.files.recording import Lines, Parsed, WholeRecording, stack_frames
+from sparseskin.nodes.sensor.files.recording import (
+    Lines,
+    Parsed,
+    WholeRecording,
+    stack_frames,
+)
 from sparseskin.nodes.sensor.layout.checks import parse_number, parse_whole, shown
 
-from .movies import KPA_CM2_IN_NEWTONS, LARGEST_NUMBER, check_number, parse_reading, parse_shape
+from .movies import (
+    KPA_CM2_IN_NEWTONS,
+    LARGEST_NUMBER,
+    check_number,
+    parse_reading,
+    parse_shape,
+)
 
 _MATRIX = re.compile(r"Matrix:\s*(\S*)")
 _AREA = re.compile(r"Sensor area:\s*(\S+)\s*(\S*)")
@@ -88,7 +99,9 @@ class EmedRecording(WholeRecording):
             forces=stack_frames(frames, name) * header.newtons_per_kpa,
             unit="N",
             rate_hz=1000.0 / header.period_ms,
-            stamp_ns=tuple(round(k * header.period_ms * 1e6) for k in range(len(frames))),
+            stamp_ns=tuple(
+                round(k * header.period_ms * 1e6) for k in range(len(frames))
+            ),
             pitch_m=header.pitch_m,
         )
 
@@ -146,24 +159,33 @@ class EmedRecording(WholeRecording):
 
             row = parse_whole(cells[0], f"{where}, row label", 1, header.n_rows) - 1
             if row <= row_before:
-                raise SourceError(f"{where}: row {row + 1} comes after row {row_before + 1}")
+                raise SourceError(
+                    f"{where}: row {row + 1} comes after row {row_before + 1}"
+                )
             row_before = row
             for col, token in zip(columns, cells[1:], strict=False):
-                kpa[row, col] = parse_reading(token, f"{where}, frame {number}", row, col)
-        raise SourceError(f"{where}: frame {number} is cut short before the end of its table")
+                kpa[row, col] = parse_reading(
+                    token, f"{where}, frame {number}", row, col
+                )
+        raise SourceError(
+            f"{where}: frame {number} is cut short before the end of its table"
+        )
 
 
 def _columns(line: str, n_cols: int, where: str) -> tuple[list[int], bool]:
     """Columns of a table by the line of their labels, from 0, and True if sums follow them."""
     corner, *labels = line.rstrip(" \t").split("\t")
     if corner.strip():
-        raise SourceError(f"{where}: {shown(corner)} stands where a row of column labels should")
+        raise SourceError(
+            f"{where}: {shown(corner)} stands where a row of column labels should"
+        )
     has_sums = bool(labels) and labels[-1].strip() == "Force"
     # The last column is that of the sums of the rows.
     if has_sums:
         labels.pop()
     columns = [
-        parse_whole(label.strip(), f"{where}, column label", 1, n_cols) - 1 for label in labels
+        parse_whole(label.strip(), f"{where}, column label", 1, n_cols) - 1
+        for label in labels
     ]
     if any(column <= previous for previous, column in pairwise(columns)):
         raise SourceError(f"{where}: the column labels do not rise")
@@ -178,13 +200,17 @@ def _parse_header(properties: Stated, where: str) -> _Header:
             raise SourceError(f"{where}: the page before it states no '{expected}'")
         return properties[pattern]
 
-    def quantity(pattern: re.Pattern[str], expected: str, noun: str, unit: str) -> list[float]:
+    def quantity(
+        pattern: re.Pattern[str], expected: str, noun: str, unit: str
+    ) -> list[float]:
         match, place = find(pattern, f"{expected} {unit}")
         *numbers, unit_stated = match.groups()
 
         # A superscript two has one byte or two, by the encoding of the file.
         if not re.fullmatch(unit.replace("2", r"\S*"), unit_stated):
-            raise SourceError(f"{place}: {noun} in {shown(unit_stated)}; allowed is {unit}")
+            raise SourceError(
+                f"{place}: {noun} in {shown(unit_stated)}; allowed is {unit}"
+            )
         return [parse_number(number, place, 1e-6, 1e6) for number in numbers]
 
     matrix, place = find(_MATRIX, "Matrix: COLUMNSxROWS")

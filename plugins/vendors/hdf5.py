@@ -101,7 +101,9 @@ class Hdf5File(ArrayFile):
     def _check_size(self, key: str) -> None:
         n_bytes = self.datasets[key].n_bytes
         if n_bytes > self._limit:
-            raise SourceError(f"{self.where(key)}: {n_bytes} bytes; at most {self._limit}")
+            raise SourceError(
+                f"{self.where(key)}: {n_bytes} bytes; at most {self._limit}"
+            )
 
     def _readable(self, key: str, dataset: Any) -> Any:
         if self.datasets[key].dtype.kind == "U":
@@ -139,7 +141,9 @@ class Hdf5File(ArrayFile):
 
         def look(path: str, entry: Any) -> bool | None:
             # Soft and external links are not followed.
-            if isinstance(entry, h5py.Dataset) and not (entry.external or entry.is_virtual):
+            if isinstance(entry, h5py.Dataset) and not (
+                entry.external or entry.is_virtual
+            ):
                 is_hidden = path.startswith("#")  # what MATLAB refers to from elsewhere
                 if not is_hidden:
                     self._add(path, entry)
@@ -174,7 +178,11 @@ class Hdf5File(ArrayFile):
             around: dict[str, Any] = {}
             if group.name != "/":
                 around = self._around(group.parent)
-            of_group = {name: value for name, value in _attributes(group) if name not in _OF_ARRAY}
+            of_group = {
+                name: value
+                for name, value in _attributes(group)
+                if name not in _OF_ARRAY
+            }
             self._groups[group.name] = {**around, **of_group}
         return self._groups[group.name]
 

@@ -13,7 +13,11 @@ from typing import IO, NamedTuple
 import numpy as np
 
 from sparseskin.nodes.numerics.array_blocks import InflatedSection, Section, StoredArray
-from sparseskin.nodes.numerics.array_files import MAX_GROWN_BYTES, MAX_GROWTH, ArrayFileError
+from sparseskin.nodes.numerics.array_files import (
+    MAX_GROWN_BYTES,
+    MAX_GROWTH,
+    ArrayFileError,
+)
 from sparseskin.nodes.sensor.files.arrays import StoredArrays, refusing
 from sparseskin.nodes.sensor.files.dataset_recording import DatasetRecording
 from sparseskin.nodes.sensor.files.datasets import MAX_ARRAYS, ArrayFile
@@ -164,7 +168,9 @@ class MatlabFile(StoredArrays):
         heading = self._file.read(_HEAD_BYTES)
         order = {b"IM": "<", b"MI": ">"}.get(heading[126:])
         if order is None:
-            raise ArrayFileError("no MATLAB file of version 5 or later; save it with -v7")
+            raise ArrayFileError(
+                "no MATLAB file of version 5 or later; save it with -v7"
+            )
 
         at = _HEAD_BYTES
         while at + 8 <= n_bytes and len(self.stored) < MAX_ARRAYS:
@@ -190,12 +196,16 @@ class MatlabFile(StoredArrays):
             size = tag.n_bytes
         self._add_matrix(part, "", size, can_seek=kind == _MATRIX, depth=0)
 
-    def _add_matrix(self, part: _Part, path: str, size: int, can_seek: bool, depth: int) -> None:
+    def _add_matrix(
+        self, part: _Part, path: str, size: int, can_seek: bool, depth: int
+    ) -> None:
         """Add the array of numbers, or those of the structure, that begins here."""
         if not size:
             return
         if size > self._limit:
-            raise ArrayFileError(f"an array would have {size} bytes; at most {self._limit}")
+            raise ArrayFileError(
+                f"an array would have {size} bytes; at most {self._limit}"
+            )
 
         end = part.at + size
         flags = part.numbers(_UINT32, 2)

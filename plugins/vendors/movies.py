@@ -12,7 +12,12 @@ from sparseskin.nodes.errors import SourceError
 from sparseskin.nodes.numerics.arrays import Doubles, Mask
 from sparseskin.nodes.sensor.files.recording import Lines, rising
 from sparseskin.nodes.sensor.layout.arrangement import check_grid
-from sparseskin.nodes.sensor.layout.checks import MAX_READING, parse_number, parse_whole, shown
+from sparseskin.nodes.sensor.layout.checks import (
+    MAX_READING,
+    parse_number,
+    parse_whole,
+    shown,
+)
 
 LARGEST_NUMBER = 999_999_999
 """Largest number of a frame."""
@@ -55,7 +60,9 @@ def read_cells(
     while row < n_rows:
         line = next(lines, None)
         if line is None:
-            raise SourceError(f"{lines.where}: the file ends in {label}, which needs {n_rows} rows")
+            raise SourceError(
+                f"{lines.where}: the file ends in {label}, which needs {n_rows} rows"
+            )
         cells = [cell.strip() for cell in line.split(",")]
         if not any(cells):
             continue
@@ -65,7 +72,9 @@ def read_cells(
         while len(cells) > n_cols and not cells[-1]:
             cells.pop()
         if len(cells) != n_cols:
-            raise SourceError(f"{where}: row {row} has {len(cells)} cells, {keyword} is {n_cols}")
+            raise SourceError(
+                f"{where}: row {row} has {len(cells)} cells, {keyword} is {n_cols}"
+            )
 
         # A cell without a sensel reads 0.
         for col, token in enumerate(cells):
@@ -77,7 +86,9 @@ def read_cells(
     return readings, exists
 
 
-def check_mask(first_exists: Mask, exists: Mask, number: int, where: str, what: str) -> None:
+def check_mask(
+    first_exists: Mask, exists: Mask, number: int, where: str, what: str
+) -> None:
     """Raise SourceError if the cells of a frame that hold a sensel are others than the first's."""
     if not np.array_equal(first_exists, exists):
         row, col = np.argwhere(first_exists != exists)[0]

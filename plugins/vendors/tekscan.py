@@ -7,10 +7,22 @@ from itertools import islice
 
 from sparseskin.nodes.errors import SourceError
 from sparseskin.nodes.numerics.arrays import Doubles, Mask
-from sparseskin.nodes.sensor.files.recording import Lines, Parsed, WholeRecording, stack_frames
+from sparseskin.nodes.sensor.files.recording import (
+    Lines,
+    Parsed,
+    WholeRecording,
+    stack_frames,
+)
 from sparseskin.nodes.sensor.layout.checks import parse_number, parse_whole, shown
 
-from .movies import LARGEST_NUMBER, check_mask, check_number, parse_shape, read_cells, stamps
+from .movies import (
+    LARGEST_NUMBER,
+    check_mask,
+    check_number,
+    parse_shape,
+    read_cells,
+    stamps,
+)
 
 _FRAME = re.compile(r"Frame\s+(\d+)\s*(?:,\s*([^,]*))?")
 _RAW_SUM = re.compile(r"Raw Sum=[\s,]*([^,\s]+)")
@@ -34,7 +46,9 @@ Header = dict[str, tuple[str, str]]
 def is_tekscan(raw: bytes) -> bool:
     """True if the content has the keywords of a Tekscan header."""
     header_lines = raw[: 1 << 16].split(b"\n", _N_HEADER_LINES)[:_N_HEADER_LINES]
-    return any(line.lstrip().startswith((b"DATA_TYPE", b"ASCII_DATA")) for line in header_lines)
+    return any(
+        line.lstrip().startswith((b"DATA_TYPE", b"ASCII_DATA")) for line in header_lines
+    )
 
 
 class TekscanRecording(WholeRecording):
@@ -105,7 +119,9 @@ class TekscanRecording(WholeRecording):
 
             match = _FRAME.match(line)
             if match is None:
-                raise SourceError(f"{where}: {shown(line)} stands where 'Frame N' should")
+                raise SourceError(
+                    f"{where}: {shown(line)} stands where 'Frame N' should"
+                )
             number = parse_whole(match[1], where, 0, LARGEST_NUMBER)
             # Frames are numbered from that in the header on, or from any.
             if self._number is not None:
@@ -156,7 +172,9 @@ def _parse_header(lines: Lines) -> tuple[Header, str]:
             )
         if keyword == "ASCII_DATA":
             return header, header[keyword][0]
-    raise SourceError(f"{lines.name}: no line ASCII_DATA; not a Tekscan ASCII movie export")
+    raise SourceError(
+        f"{lines.name}: no line ASCII_DATA; not a Tekscan ASCII movie export"
+    )
 
 
 def _number_of(header: Header, keyword: str) -> int | None:
@@ -182,7 +200,9 @@ def _pitch(header: Header) -> float | None:
         value, _, unit = text.partition(" ")
         metres = _METRES.get(unit.strip().lower())
         if metres is None:
-            raise SourceError(f"{where}: unit {shown(unit)}; allowed are {', '.join(_METRES)}")
+            raise SourceError(
+                f"{where}: unit {shown(unit)}; allowed are {', '.join(_METRES)}"
+            )
         pitches.append(parse_number(value, where) * metres)
         if not 1e-6 <= pitches[-1] <= 10:
             raise SourceError(f"{where}: {shown(text)} is outside 0.001 mm..10 m")

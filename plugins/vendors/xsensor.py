@@ -8,10 +8,22 @@ from typing import NamedTuple
 
 from sparseskin.nodes.errors import SourceError
 from sparseskin.nodes.numerics.arrays import Doubles, Mask
-from sparseskin.nodes.sensor.files.recording import Lines, Parsed, WholeRecording, stack_frames
+from sparseskin.nodes.sensor.files.recording import (
+    Lines,
+    Parsed,
+    WholeRecording,
+    stack_frames,
+)
 from sparseskin.nodes.sensor.layout.checks import parse_number, parse_whole, shown
 
-from .movies import LARGEST_NUMBER, check_mask, check_number, parse_shape, read_cells, stamps
+from .movies import (
+    LARGEST_NUMBER,
+    check_mask,
+    check_number,
+    parse_shape,
+    read_cells,
+    stamps,
+)
 
 _N_HEAD_LINES = 100
 """Lines searched for the keyword of the readings; header and first frame have some 65 before it."""
@@ -119,7 +131,9 @@ class XsensorRecording(WholeRecording):
                 unit = entry[1]
             entry = self._next()
         if entry is None:
-            raise SourceError(f"{self._lines.name}: holds no line FRAME; not an export of frames")
+            raise SourceError(
+                f"{self._lines.name}: holds no line FRAME; not an export of frames"
+            )
         if not unit:
             raise SourceError(f"{self._lines.name}: the header states no Units")
         self._lines.back()
@@ -149,7 +163,9 @@ class XsensorRecording(WholeRecording):
         area_cm2 = _number_or_nan(entries, "Total Area")
         pitch_m = width_cm / 100 if width_cm == height_cm else None
         # False where one is not stated.
-        is_part = area_cm2 < (1 - _AREA_ROUNDING) * math.prod(shape) * width_cm * height_cm
+        is_part = (
+            area_cm2 < (1 - _AREA_ROUNDING) * math.prod(shape) * width_cm * height_cm
+        )
         time_s = None
         if "Time" in entries:
             time_s = _seconds(*entries["Time"])
@@ -180,7 +196,9 @@ class XsensorRecording(WholeRecording):
             entries.setdefault(keyword.partition(" (")[0], (value, self._lines.where))
             entry = self._next()
         if entry is None:
-            raise SourceError(f"{begin}: frame {self._number} has no line SENSELS with readings")
+            raise SourceError(
+                f"{begin}: frame {self._number} has no line SENSELS with readings"
+            )
         return entries
 
 

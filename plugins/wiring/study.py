@@ -17,7 +17,13 @@ from sparseskin.nodes.compressor.phi.sbhe import WIRED_BLOCK, SbhePhi
 from sparseskin.nodes.numerics.arrays import Indices, Mask
 from sparseskin.nodes.reconstructor.settings import PRESETS
 from sparseskin.studies.frames import Frames, PressFrames, SceneFrames
-from sparseskin.studies.harness import Candidate, Experiment, Measurement, method_rows, unrefused
+from sparseskin.studies.harness import (
+    Candidate,
+    Experiment,
+    Measurement,
+    method_rows,
+    unrefused,
+)
 from sparseskin.studies.points import compute
 from sparseskin.studies.presses import N_BEFORE
 from sparseskin.studies.report import Page, markdown
@@ -55,13 +61,15 @@ def run(out: Path, quick: bool, seed: int, executor: str) -> list[str]:
 
     points = [{"seed": seed_of_point} for seed_of_point in seeds]
     wires = method_rows(points, compute(wiring, points, out, executor, "wires"), "kind")
-    wires = wires.groupby("kind", sort=False).mean(numeric_only=True).drop(columns="seed")
+    wires = (
+        wires.groupby("kind", sort=False).mean(numeric_only=True).drop(columns="seed")
+    )
     rows = rows.join(wires, on="kind")
 
     # Loss against sums over the whole skin, of the same preset, body and seed.
-    db_of_scrambled = rows[rows["kind"] == SCRAMBLED].set_index(["preset", "body", "seed"])[
-        "mean_db"
-    ]
+    db_of_scrambled = rows[rows["kind"] == SCRAMBLED].set_index(
+        ["preset", "body", "seed"]
+    )["mean_db"]
     keys = pd.MultiIndex.from_frame(rows[["preset", "body", "seed"]])
     rows["loss_db"] = db_of_scrambled.loc[keys].to_numpy() - rows["mean_db"].to_numpy()
 
@@ -95,7 +103,9 @@ def frames_of(n_frames: int, quick: bool) -> list[Frames]:
 
     contact, _ = next(SceneFrames(DRAG, 0).windows(0))
     first_frame = DRAG_FIRST - contact
-    drag = SceneFrames(DRAG, first_frame, first_frame + n_frames * DRAG_EVERY, DRAG_EVERY)
+    drag = SceneFrames(
+        DRAG, first_frame, first_frame + n_frames * DRAG_EVERY, DRAG_EVERY
+    )
     return [*frames, drag]
 
 
@@ -109,7 +119,8 @@ def experiment(frames: list[Frames], seeds: range) -> Experiment:
     """Each matrix with each preset, on the same readings."""
     measurements = [Measurement(RATIO, phi=kind, block=BLOCK) for kind in KINDS_OF_PHI]
     presets = {
-        name: Candidate(PRESETS[name], changes={"rows": rows}) for name, rows in PRESET_ROWS.items()
+        name: Candidate(PRESETS[name], changes={"rows": rows})
+        for name, rows in PRESET_ROWS.items()
     }
     return Experiment(
         "accuracy", frames, measurements, presets, ("mean_db", "min_db"), tuple(seeds)
@@ -188,7 +199,9 @@ class Wiring:
     conversions: int
 
 
-def star_wiring(groups: list[Indices], cells: Indices, n_cols: int, conversions: int) -> Wiring:
+def star_wiring(
+    groups: list[Indices], cells: Indices, n_cols: int, conversions: int
+) -> Wiring:
     """Wires of a skin whose taxels are summed in groups, by one amplifier a group.
 
     Each taxel has a wire of its own to the amplifier, which stands at the median row and column of
@@ -231,7 +244,9 @@ def array_wiring(n_rows: int, n_cols: int, conversions: int) -> Wiring:
 
 
 def count_crossings(
-    begins: npt.NDArray[np.float64], ends: npt.NDArray[np.float64], group_of: npt.NDArray[np.intp]
+    begins: npt.NDArray[np.float64],
+    ends: npt.NDArray[np.float64],
+    group_of: npt.NDArray[np.intp],
 ) -> int:
     """Pairs of straight lines, (k, 2) each, of different groups, (k,), that cross within both."""
     total = 0
@@ -256,5 +271,7 @@ def _side(
     """Sign of the side of the line p -> q on which r lies."""
     d = q - p
     e = r - p
-    sign: npt.NDArray[np.float64] = np.sign(d[..., 0] * e[..., 1] - d[..., 1] * e[..., 0])
+    sign: npt.NDArray[np.float64] = np.sign(
+        d[..., 0] * e[..., 1] - d[..., 1] * e[..., 0]
+    )
     return sign

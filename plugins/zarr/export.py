@@ -82,7 +82,9 @@ def export_zarr(
             n_earlier = times.n
             _add_episode(bag, topics, times, rows, out / "data", names)
             if times.n == n_earlier:
-                raise BagError(f"{bag.path}: no frame has one of each topic: {', '.join(topics)}")
+                raise BagError(
+                    f"{bag.path}: no frame has one of each topic: {', '.join(topics)}"
+                )
             ends.append(times.n)
 
         times.finish({"units": "s"})
@@ -121,7 +123,9 @@ def _names(topics: Sequence[str], side: str) -> dict[str, tuple[str, str]]:
         side_of_topic = sides_in_name[0] if len(sides_in_name) == 1 else side
         names[topic] = (side_of_topic, group)
     if len({*names.values()}) < len(names):
-        raise BagError(f"the patches of {', '.join(topics)} would have one name; state --topics")
+        raise BagError(
+            f"the patches of {', '.join(topics)} would have one name; state --topics"
+        )
     return names
 
 
@@ -153,14 +157,18 @@ def _add_episode(
                 rows[topic] = _Rows(path, np.dtype("<f4"), shape)
             if rows[topic].sides != shape:
                 shapes = f"frames of {shape[1:]} after some of {rows[topic].sides[1:]}"
-                raise BagError(f"{bag.path}: {topic}, stamp {message.stamp_ns}: {shapes}")
+                raise BagError(
+                    f"{bag.path}: {topic}, stamp {message.stamp_ns}: {shapes}"
+                )
             rows[topic].add(newest[topic])
 
 
 class _Rows:
     """An array that grows by rows, written chunk by chunk."""
 
-    def __init__(self, folder: Path, dtype: np.dtype[Any], sides: tuple[int, ...]) -> None:
+    def __init__(
+        self, folder: Path, dtype: np.dtype[Any], sides: tuple[int, ...]
+    ) -> None:
         folder.mkdir()
         self.n = 0
         self.sides = sides
@@ -191,7 +199,9 @@ class _Rows:
         _write_chunk(self._folder / ".".join(map(str, place)), self._chunk)
 
 
-def _write_constants(folder: Path, name: tuple[str, str], n: int, topic: str, area: int) -> None:
+def _write_constants(
+    folder: Path, name: tuple[str, str], n: int, topic: str, area: int
+) -> None:
     """Write what the dataset states of each row of a group."""
     side, group = name
     sensor = f"sparseskin {patch_of(topic)}"

@@ -10,8 +10,16 @@ EXPORT = Export(
     ".zarr",
     "sparseskin.plugins.zarr.export:export_zarr",
     {
-        "side": ("SIDE", "side of the patches whose name states none (default: right)", str),
-        "area": ("N", "functional area of the skins, as datasets number them (default: none)", int),
+        "side": (
+            "SIDE",
+            "side of the patches whose name states none (default: right)",
+            str,
+        ),
+        "area": (
+            "N",
+            "functional area of the skins, as datasets number them (default: none)",
+            int,
+        ),
     },
     several=True,
 )

@@ -121,7 +121,10 @@ class ZarrFolder(ArrayFile):
         if number is None and n > 1:
             name = topic or "NAME"
             ways = f"state topic={name}:0 .. topic={name}:{n - 1}"
-            names = ", ".join(printable(key) for key in self._tactile()) or "none of tactile data"
+            names = (
+                ", ".join(printable(key) for key in self._tactile())
+                or "none of tactile data"
+            )
             fault = f"holds {n} episodes, which is not stated: {ways}; arrays: {names}"
             raise UnstatedError(f"{self.name}: {fault}")
         number = number or 0
@@ -161,7 +164,9 @@ class ZarrFolder(ArrayFile):
         length = stored.chunks[axis]
         step = max(1, size // length) * length
         for begin in range(entries.start // length * length, entries.stop, step):
-            entries_read = range(max(begin, entries.start), min(begin + step, entries.stop))
+            entries_read = range(
+                max(begin, entries.start), min(begin + step, entries.stop)
+            )
             ranges = [range(side) for side in stored.sides]
             ranges[axis] = entries_read
             yield np.moveaxis(self._part(key, tuple(ranges)), axis, 0)
@@ -180,10 +185,12 @@ class ZarrFolder(ArrayFile):
         sides = zip(stored.sides, stored.chunks, strict=True)
         n_all_chunks = math.prod(-(-side // chunk) for side, chunk in sides)
         n_chunks = n_all_chunks // -(-n_entries // length)
-        if max(row_bytes, stored.chunk_bytes) > MAX_CHUNK_BYTES or n_chunks > MAX_CHUNKS:
-            fault = (
-                f"{n_chunks} chunks of {length} entries of axis {axis + 1} need {row_bytes} bytes"
-            )
+        if (
+            max(row_bytes, stored.chunk_bytes) > MAX_CHUNK_BYTES
+            or n_chunks > MAX_CHUNKS
+        ):
+            entries = f"{length} entries of axis {axis + 1}"
+            fault = f"{n_chunks} chunks of {entries} need {row_bytes} bytes"
             allowed = f"at most {MAX_CHUNKS} of {MAX_CHUNK_BYTES} bytes together"
             raise SourceError(f"{self.where(key)}: {fault}; {allowed}")
 
@@ -237,9 +244,13 @@ class ZarrFolder(ArrayFile):
             plain = _decoded(stored.codec, raw, stored.chunk_bytes)
         except Exception as error:  # of five libraries, at malformed bytes
             fault = f"chunk {name} cannot be decoded ({error})"
-            raise SourceError(f"{self.where(key)}: {' '.join(fault.split())[:200]}") from error
+            raise SourceError(
+                f"{self.where(key)}: {' '.join(fault.split())[:200]}"
+            ) from error
         if len(plain) != stored.chunk_bytes:
-            fault = f"chunk {name} has {len(plain)} bytes in place of {stored.chunk_bytes}"
+            fault = (
+                f"chunk {name} has {len(plain)} bytes in place of {stored.chunk_bytes}"
+            )
             raise SourceError(f"{self.where(key)}: {fault}")
 
         flat = np.frombuffer(plain, stored.dtype)
@@ -291,7 +302,9 @@ class ZarrFolder(ArrayFile):
         self.datasets[path] = Dataset(sides, dtype, labels, attributes, names)
 
 
-def _tactile_axes(sides: tuple[int, ...]) -> tuple[tuple[str, ...], dict[int, tuple[str, ...]]]:
+def _tactile_axes(
+    sides: tuple[int, ...],
+) -> tuple[tuple[str, ...], dict[int, tuple[str, ...]]]:
     """Labels of the axes of an array of the tactile datasets, which state none, and names of the
     entries of some.
     """
@@ -310,7 +323,9 @@ def _arrays_of(
     """Paths of the arrays in a folder, and attributes of themselves and the groups around them."""
     group = folder / path
     attributes_here = _json(group / ATTRIBUTES, where) or {}
-    in_small_letters = {str(name).lower(): value for name, value in attributes_here.items()}
+    in_small_letters = {
+        str(name).lower(): value for name, value in attributes_here.items()
+    }
     attributes = {**outer, **in_small_letters, **attributes_here}
     if (group / ARRAY).is_file():
         yield path, attributes
@@ -391,7 +406,9 @@ def _decoded(codec: dict[str, Any] | None, raw: bytes, n_bytes: int) -> bytes:
             return b""
         return zstandard.ZstdDecompressor().decompress(raw, max_output_size=n_bytes)
     if kind == "lz4":
-        (n_stated,) = struct.unpack_from("<I", raw)  # before the block, as numcodecs writes it
+        (n_stated,) = struct.unpack_from(
+            "<I", raw
+        )  # before the block, as numcodecs writes it
         if n_stated != n_bytes:
             return b""
         plain: bytes = lz4.block.decompress(raw)
@@ -399,20 +416,26 @@ def _decoded(codec: dict[str, Any] | None, raw: bytes, n_bytes: int) -> bytes:
     if kind == "bz2":
         return bz2.BZ2Decompressor().decompress(raw, n_bytes + 1)
     if kind == "lzma":
-        return lzma.LZMADecompressor(memlimit=MAX_CHUNK_BYTES).decompress(raw, n_bytes + 1)
+        return lzma.LZMADecompressor(memlimit=MAX_CHUNK_BYTES).decompress(
+            raw, n_bytes + 1
+        )
     if kind == "blosc":
         # In its header: the bytes of the numbers, of a block, and of all that follows.
         n_stated, _, n_packed = struct.unpack_from("<III", raw, 4)
         if n_stated != n_bytes or n_packed != len(raw):
             return b""
         return _blosc(raw)
-    raise ValueError(f"codec {str(kind)[:40]!r}; allowed: blosc, zstd, lz4, zlib, gzip, bz2, lzma")
+    raise ValueError(
+        f"codec {str(kind)[:40]!r}; allowed: blosc, zstd, lz4, zlib, gzip, bz2, lzma"
+    )
 
 
 def _blosc(raw: bytes) -> bytes:
     try:
         from numcodecs.blosc import decompress
     except ImportError as error:
-        raise ValueError('blosc needs numcodecs; pip install "sparseskin[zarr]"') from error
+        raise ValueError(
+            'blosc needs numcodecs; pip install "sparseskin[zarr]"'
+        ) from error
     plain: bytes = decompress(raw)
     return plain

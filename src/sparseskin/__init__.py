@@ -7,7 +7,9 @@ with no process and no socket. Each is imported when it is first used. The node 
 
 from importlib import import_module
 
-TYPE_CHECKING = False  # as of `typing`, without its import: the command imports this first
+TYPE_CHECKING = (
+    False  # as of `typing`, without its import: the command imports this first
+)
 
 if TYPE_CHECKING:
     from sparseskin.launch.attach.subscription import Subscription, subscribe

@@ -29,7 +29,12 @@ from sparseskin.nodes.arguments import checked
 from sparseskin.nodes.bus import Bus
 from sparseskin.nodes.compressor.phi.base import Phi, phi_fact
 from sparseskin.nodes.compressor.phi.rotation import row_subsets
-from sparseskin.nodes.errors import PhiError, SettingsError, SolverError, SparseskinError
+from sparseskin.nodes.errors import (
+    PhiError,
+    SettingsError,
+    SolverError,
+    SparseskinError,
+)
 from sparseskin.nodes.monitor.metrics import psnr_db as psnr_of_error
 from sparseskin.nodes.numerics.arrays import LARGEST, real_floats
 from sparseskin.nodes.reconstructor.bases.base import Basis
@@ -109,7 +114,9 @@ def compress(
     exists = _exists(forces.shape[-2:], mask)
     n = np.count_nonzero(exists)
     if n != phi.n:
-        raise PhiError(f"compress: {n} taxels of {exists.shape} exist; {phi} is for {phi.n}")
+        raise PhiError(
+            f"compress: {n} taxels of {exists.shape} exist; {phi} is for {phi.n}"
+        )
     # The solver of this phi must reconstruct the same grid.
     _keep_grid(phi, exists.shape)
     # Cells where no taxel exists may hold anything.
@@ -141,7 +148,9 @@ def _check_measurable(forces: Floats, phi: Phi) -> None:
             "not state which; allowed: other kinds, or a graph"
         )
     if np.issubdtype(getattr(forces, "dtype", float), np.integer):
-        allowed = "newtons, as of float32 (counts become newtons by sparseskin calibrate)"
+        allowed = (
+            "newtons, as of float32 (counts become newtons by sparseskin calibrate)"
+        )
         raise PhiError(f"compress: forces: type {forces.dtype}; allowed: {allowed}")
 
 
@@ -156,7 +165,9 @@ def _exists(shape: tuple[int, ...], mask: Mask | None) -> Mask:
     return exists
 
 
-def _zeroed(frames: Floats, exists: Mask, phi: Phi, tare: int | None, invert: bool) -> Floats:
+def _zeroed(
+    frames: Floats, exists: Mask, phi: Phi, tare: int | None, invert: bool
+) -> Floats:
     """Forces of readings, float32 (k, n_rows, n_cols), by tare and sign; warn of what is found of
     them, and note on `phi` what is found of the last one.
     """
@@ -192,7 +203,9 @@ def _keep_grid(phi: Phi, shape: tuple[int, ...]) -> None:
     """Note the grid that a phi measures, or raise PhiError if it is another than before."""
     grid = getattr(phi, "grid", None) or shape
     if grid != shape:
-        raise PhiError(f"{phi} measures frames of {grid}, not of {shape}; make one for each grid")
+        raise PhiError(
+            f"{phi} measures frames of {grid}, not of {shape}; make one for each grid"
+        )
     phi.grid = (shape[0], shape[1])
 
 
@@ -300,12 +313,16 @@ def reconstruct(measurements: Floats, solver: Solver) -> Floats:
 def _check_solver(solver: Solver) -> None:
     """Raise SolverError if this is no solver, or what was set of its noise is not allowed."""
     if not hasattr(solver, "solve"):
-        raise SolverError(f"solver: got {type(solver).__name__}; expected what make_solver returns")
+        raise SolverError(
+            f"solver: got {type(solver).__name__}; expected what make_solver returns"
+        )
     newtons("solver", "noise_sd", getattr(solver, "noise_sd", 0.0))
     model = getattr(solver, "noise_model", None)
     if model is not None and not isinstance(model, NoiseModel):
         allowed = "allowed: a NoiseModel"
-        raise SolverError(f"solver: noise_model = {model!r:.60} is not allowed; {allowed}")
+        raise SolverError(
+            f"solver: noise_model = {model!r:.60} is not allowed; {allowed}"
+        )
 
 
 def _reconstructed(y: Floats, solver: Solver) -> Floats:
@@ -326,7 +343,9 @@ def warn_of_threads() -> None:
     config: Any = np.show_config(mode="dicts")
     # Other libraries do not make small products wait.
     is_openblas = "openblas" in config["Build Dependencies"]["blas"]["name"]
-    is_stated = any(name in os.environ for name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS"))
+    is_stated = any(
+        name in os.environ for name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS")
+    )
     if not is_openblas or is_stated or (os.cpu_count() or 1) == 1:
         return
     warnings.warn(
@@ -362,7 +381,9 @@ def psnr_db(forces: Floats, truth: Floats, f_max: float = 2.5) -> Any:
     _check_numbers("forces", forces)
     _check_numbers("truth", truth)
     if not f_max > 0:
-        raise SparseskinError(f"psnr_db: f_max = {f_max:g} is not allowed; allowed: above 0")
+        raise SparseskinError(
+            f"psnr_db: f_max = {f_max:g} is not allowed; allowed: above 0"
+        )
     forces = np.asarray(forces)
     truth = np.asarray(truth)
     if forces.shape != truth.shape or forces.ndim not in (2, 3):
@@ -374,7 +395,9 @@ def psnr_db(forces: Floats, truth: Floats, f_max: float = 2.5) -> Any:
     peak = float(truth.max()) if truth.size else 0.0
     if peak > f_max:
         text = f"the reference reaches {peak:g}, above f_max = {f_max:g}"
-        raise SparseskinError(f"psnr_db: {text}; state f_max, the upper end of its range")
+        raise SparseskinError(
+            f"psnr_db: {text}; state f_max, the upper end of its range"
+        )
 
     dtype = np.result_type(forces, truth, np.float32)
     # Not in their own type, which may be unsigned.
@@ -428,8 +451,12 @@ def simulate(scene: str, n_frames: int, seed: int = 0) -> tuple[Floats, Floats]:
     truth = []
     taxels = []
     for messages in bus.frames(n_frames):
-        truth += [message.forces[0] for message in messages if isinstance(message, Truth)]
-        taxels += [message.forces[0] for message in messages if isinstance(message, Taxels)]
+        truth += [
+            message.forces[0] for message in messages if isinstance(message, Truth)
+        ]
+        taxels += [
+            message.forces[0] for message in messages if isinstance(message, Taxels)
+        ]
     bus.check()
     return np.stack(truth), np.stack(taxels)
 
@@ -437,7 +464,9 @@ def simulate(scene: str, n_frames: int, seed: int = 0) -> tuple[Floats, Floats]:
 def _check_frames(function: str, n_frames: object) -> None:
     if not is_whole(n_frames, 1):
         allowed = "allowed: a whole number, 1 or more"
-        raise SparseskinError(f"{function}: n_frames = {n_frames!r} is not allowed; {allowed}")
+        raise SparseskinError(
+            f"{function}: n_frames = {n_frames!r} is not allowed; {allowed}"
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -510,7 +539,9 @@ def run_launch(
     if isinstance(launch, str):
         launch = load(launch, settings)
     elif settings:
-        raise SparseskinError("run_launch: settings go to load_launch where the file is loaded")
+        raise SparseskinError(
+            "run_launch: settings go to load_launch where the file is loaded"
+        )
     nodes = launch.nodes.values()
     bus = Bus({node.name: (node.cls, node.settings) for node in nodes})
     last_forces: dict[str, Floats] = {}
@@ -531,7 +562,9 @@ _PARTS: dict[type[Frames], str] = {
 }
 
 
-def _frames_of(messages: Sequence[Message], last_forces: dict[str, Floats]) -> Iterator[Frame]:
+def _frames_of(
+    messages: Sequence[Message], last_forces: dict[str, Floats]
+) -> Iterator[Frame]:
     """Frames of messages that came together; `last_forces` as of `Frames.split`."""
     # Messages of one frame share patch and stamp.
     frames: dict[tuple[str, int], dict[str, Any]] = {}

@@ -165,14 +165,22 @@ class _Test:
         raise self._kind(f"{self._name}{place}: {result}; expected: {expected}")
 
     def applied(
-        self, name: str, apply: Callable[[Floats], Floats], batch: Floats, shape: tuple[int, ...]
+        self,
+        name: str,
+        apply: Callable[[Floats], Floats],
+        batch: Floats,
+        shape: tuple[int, ...],
     ) -> Floats:
         """Apply to a batch of two frames, with checks of shape, type, values and bits."""
         place = f": {name}"
         copy = batch.copy()
         result = apply(batch)
         if result.shape != shape or result.dtype != np.float32:
-            self.fail(place, f"{result.dtype} of shape {result.shape}", f"float32 of shape {shape}")
+            self.fail(
+                place,
+                f"{result.dtype} of shape {result.shape}",
+                f"float32 of shape {shape}",
+            )
         if not np.isfinite(result).all():
             self.fail(place, "not finite", "finite numbers")
         if not np.array_equal(batch, copy):
@@ -181,11 +189,18 @@ class _Test:
         # The same bits, alone and in a batch, twice.
         frame_by_frame = np.stack([apply(frame) for frame in batch])
         if not np.array_equal(frame_by_frame, result):
-            self.fail(place, "other bits on a second call", "the same bits, alone and in a batch")
+            self.fail(
+                place,
+                "other bits on a second call",
+                "the same bits, alone and in a batch",
+            )
         return result
 
     def dot_error(
-        self, name: str, factors: tuple[Floats, Floats], transposed: tuple[Floats, Floats]
+        self,
+        name: str,
+        factors: tuple[Floats, Floats],
+        transposed: tuple[Floats, Floats],
     ) -> float:
         """Relative difference of two inner products of the first frames, as they are equal."""
         product, length = _inner_product(*factors)
@@ -196,7 +211,9 @@ class _Test:
             self.fail(f": {name}", products, "the transpose, so equal")
         return error
 
-    def compare(self, name: str, found: Floats, expected: npt.NDArray[Any], by: str) -> None:
+    def compare(
+        self, name: str, found: Floats, expected: npt.NDArray[Any], by: str
+    ) -> None:
         largest = float(np.abs(found - expected).max())
         error = largest / max(float(np.linalg.norm(expected)), TINY)
         if not error <= ROUNDING:

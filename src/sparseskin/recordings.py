@@ -63,7 +63,9 @@ def read_recording(
     """
     if _is_bag(path):
         if stated:
-            raise SparseskinError(f"{path}: a recording states {', '.join(stated)} itself")
+            raise SparseskinError(
+                f"{path}: a recording states {', '.join(stated)} itself"
+            )
         return _read_bag(path, patch)
     # A recording of another program: the layout states what it does not.
     for word in stated:
@@ -101,7 +103,10 @@ def _read_bag(path: str | os.PathLike[str], patch: str | None) -> dict[str, Any]
     from sparseskin.nodes.recorder.bag.reader import BagReader
     from sparseskin.nodes.recorder.convert.npz import export_npz
 
-    with BagReader(path) as whole, tempfile.TemporaryDirectory(prefix="sparseskin-") as folder:
+    with (
+        BagReader(path) as whole,
+        tempfile.TemporaryDirectory(prefix="sparseskin-") as folder,
+    ):
         # Patches that were recorded in batches are read one by one.
         bag = split_bag(whole)
         patch, topics = patch_topics(bag, patch)

@@ -16,7 +16,12 @@ from sparseskin.messages.state import CLIP_SD
 from sparseskin.nodes.compressor.node import CompressorSettings
 from sparseskin.nodes.compressor.phi.base import phi_class, phi_fact
 from sparseskin.nodes.compressor.phi.rotation import RATIO
-from sparseskin.nodes.errors import PhiError, SettingsError, SolverError, SparseskinError
+from sparseskin.nodes.errors import (
+    PhiError,
+    SettingsError,
+    SolverError,
+    SparseskinError,
+)
 from sparseskin.nodes.lookup import suggestion
 from sparseskin.nodes.numerics.arrays import LARGEST, real_floats
 from sparseskin.nodes.reconstructor.bases.base import make_basis
@@ -145,10 +150,14 @@ class Stream:
             raise SparseskinError(f"stream: {error}") from error
         if sigmas is not None and np.shape(sigmas) != (2,):
             allowed = "allowed: standard deviations at mid-range and at the ends"
-            raise SparseskinError(f"stream: sigmas = {sigmas!r} is not allowed; {allowed}")
+            raise SparseskinError(
+                f"stream: sigmas = {sigmas!r} is not allowed; {allowed}"
+            )
 
         # The edge: the matrices that measure frames in turn.
-        edge = CompressorSettings(phi=phi, ratio=ratio, m=m, rows=rows, block=block, seed=seed)
+        edge = CompressorSettings(
+            phi=phi, ratio=ratio, m=m, rows=rows, block=block, seed=seed
+        )
         edge.check()
         if phi_fact(phi_class(phi), "choice"):
             raise PhiError(
@@ -194,7 +203,9 @@ class Stream:
             warn_of_threads()
         options = options_for_range(name, settings, skin.f_max, self._phis[0])
         fast = self._host.fast
-        solver = make_rotating_solver(name, self._phis, basis, skin.mask, fast=fast, **options)
+        solver = make_rotating_solver(
+            name, self._phis, basis, skin.mask, fast=fast, **options
+        )
         solver.noise_sd = self._noise_sd
         solver.noise_model = self._noise_model
         return solver
@@ -228,7 +239,9 @@ class Stream:
         forces = real_floats(frame, "stream: readings", SparseskinError)
         if forces.shape != self._skin.shape:
             expected = f"expected {self._skin.shape}"
-            raise SparseskinError(f"stream: the frame has shape {forces.shape}; {expected}")
+            raise SparseskinError(
+                f"stream: the frame has shape {forces.shape}; {expected}"
+            )
         # Nothing is filled in here: that is a decision of the caller.
         bad = self._skin.exists & ~np.isfinite(forces)
         if bad.any():
@@ -252,7 +265,9 @@ class Stream:
         largest = float(readings[np.abs(readings).argmax()])
         if abs(largest) > MOST_RANGES * self._skin.f_max:
             text = f"a taxel reads {largest:g}, far beyond f_max = {self._skin.f_max:g}"
-            raise SparseskinError(f"stream: {text}; state f_max in the unit of the readings")
+            raise SparseskinError(
+                f"stream: {text}; state f_max in the unit of the readings"
+            )
         if abs(largest) > LARGEST:
             allowed = f"allowed: within +-{LARGEST:g}"
             raise SparseskinError(f"stream: a taxel reads {largest:g}; {allowed}")
@@ -346,7 +361,9 @@ def _checked_skin(shape: tuple[int, int], f_max: float, mask: Mask | None) -> Sk
         raise SparseskinError(f"stream: {error}") from error
 
 
-def _host_settings(phi: str, preset: str, settings: dict[str, Any]) -> ReconstructorSettings:
+def _host_settings(
+    phi: str, preset: str, settings: dict[str, Any]
+) -> ReconstructorSettings:
     """Settings of the reconstructor: those named here, and options of the solver."""
     # Other names are options of the solver.
     stated = {name: value for name, value in settings.items() if name in _NAMED}
@@ -354,7 +371,9 @@ def _host_settings(phi: str, preset: str, settings: dict[str, Any]) -> Reconstru
     # What a user's own solver takes is not known here.
     if ":" not in str(stated.get("solver")):
         # A misspelled argument would pass for an option of the solver.
-        parameters = [name for name in signature(Stream).parameters if name != "settings"]
+        parameters = [
+            name for name in signature(Stream).parameters if name != "settings"
+        ]
         for name in options:
             hint = suggestion(name, [*_NAMED, *parameters])
             if hint:

@@ -49,7 +49,9 @@ def candidates() -> dict[str, Candidate]:
     for name in VALUES:
         for times in TIMES:
             tuning = {name: changed(name, times)}
-            made[f"{name} x {times:g}"] = Candidate({**PRESETS["skin"], "tuning": tuning})
+            made[f"{name} x {times:g}"] = Candidate(
+                {**PRESETS["skin"], "tuning": tuning}
+            )
     return made
 
 
@@ -58,16 +60,26 @@ def figures(rows: pd.DataFrame) -> pd.DataFrame:
 
     Raises StudyError if no recording has a loaded frame that can be reconstructed.
     """
-    rows = rows.astype(dict.fromkeys(("median", "n_wrong", "flagged_wrong", "mean_db"), float))
+    rows = rows.astype(
+        dict.fromkeys(("median", "n_wrong", "flagged_wrong", "mean_db"), float)
+    )
     recorded = rows[rows["path"].notna()]
     pressed = rows[rows["path"].isna()]
     if recorded["median"].isna().all():
-        raise StudyError("--constants: no recording has a loaded frame that can be reconstructed")
+        raise StudyError(
+            "--constants: no recording has a loaded frame that can be reconstructed"
+        )
 
     logs = np.log(recorded["median"].clip(LEAST_ERROR))
-    errors = np.exp(logs.groupby([recorded["method"], recorded["rows"]]).mean()).unstack()
+    errors = np.exp(
+        logs.groupby([recorded["method"], recorded["rows"]]).mean()
+    ).unstack()
     db = pressed.groupby(["method", "course"])["mean_db"].mean().unstack()
-    n_marked = (recorded["flagged_wrong"] * recorded["n_wrong"]).groupby(recorded["method"]).sum()
+    n_marked = (
+        (recorded["flagged_wrong"] * recorded["n_wrong"])
+        .groupby(recorded["method"])
+        .sum()
+    )
     n_wrong = recorded.groupby("method")["n_wrong"].sum()
     columns = [
         errors.rename(columns="error, {} rows, %".format),

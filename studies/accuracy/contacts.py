@@ -70,7 +70,9 @@ def sources(quick: bool) -> list[Frames]:
     return [*scenes, *presses, MeetingFrames(40, n), UntouchedFrames(40, n_untouched)]
 
 
-def rows(out: Path, executor: str, frames: Sequence[Frames], seeds: Sequence[int]) -> pd.DataFrame:
+def rows(
+    out: Path, executor: str, frames: Sequence[Frames], seeds: Sequence[int]
+) -> pd.DataFrame:
     """A row a source, ratio and seed: figures of `ContactScores`."""
     points = [
         {"frames": of, "ratio": ratio, "seed": seed}
@@ -99,7 +101,9 @@ class ContactScores:
 
     def __init__(self, take: Take) -> None:
         self._take = take
-        self.n_frames = self.n_ghosts = self.n_followed = self.n_lost = self.n_swapped = 0
+        self.n_frames = self.n_ghosts = self.n_followed = self.n_lost = (
+            self.n_swapped
+        ) = 0
         self.n_never = 0
         self.n_true, self.n_missed = np.zeros((2, len(CLASSES)), dtype=np.intp)
         self.delays: list[int] = []
@@ -109,7 +113,9 @@ class ContactScores:
         self.in_sd: tuple[list[float], list[float]] = [], []
         self.n_bytes = 0.0
 
-    def follow(self, estimator: Estimator, frames: Sequence[tuple[Floats, Floats]]) -> None:
+    def follow(
+        self, estimator: Estimator, frames: Sequence[tuple[Floats, Floats]]
+    ) -> None:
         """Follow the contacts of one part, in the estimate and in the truth.
 
         The solver knows the noise that the skin states, as in a graph; frames in which no contact
@@ -132,7 +138,9 @@ class ContactScores:
             self.n_bytes = solved.n_bytes or VALUE_BYTES * self._take.n
             stamp_ns = (k + 1) * FRAME_NS
             common = solved.common_error
-            tracked = tracker.update(solved.forces, solved.error, stamp_ns, common=common)
+            tracked = tracker.update(
+                solved.forces, solved.error, stamp_ns, common=common
+            )
             contacts = joined([tracked])
             true_contacts = joined([true.update(truth, None, stamp_ns)])
             if k < n_early:
@@ -177,7 +185,9 @@ class ContactScores:
                 self._found(truth, region, contacts, at[contact_id], total)
                 if contact_id in part.begins:
                     self.delays.append(k - part.begins.pop(contact_id))
-        for contact_id in [contact_id for contact_id in part.begins if contact_id not in ids]:
+        for contact_id in [
+            contact_id for contact_id in part.begins if contact_id not in ids
+        ]:
             self.n_never += part.largest[contact_id] >= LEAST
             del part.begins[contact_id]
         numbers = contacts["id"].tolist()
@@ -187,7 +197,12 @@ class ContactScores:
                 self._follow_id(contact_id, numbers[row], part, ids)
 
     def _found(
-        self, truth: Floats, region: Mask, contacts: dict[str, Any], row: int, total: float
+        self,
+        truth: Floats,
+        region: Mask,
+        contacts: dict[str, Any],
+        row: int,
+        total: float,
     ) -> None:
         if total < LEAST:
             return
@@ -196,16 +211,25 @@ class ContactScores:
         centre = np.array([(axis * forces).sum() for axis in places]) / forces.sum()
         self.off.append(float(np.linalg.norm(contacts["centre"][row] - centre)))
         self.relative.append(abs(float(contacts["total"][row]) / forces.sum() - 1))
-        errors = contacts["total"][row] - forces.sum(), *(contacts["centre"][row] - centre)
+        errors = (
+            contacts["total"][row] - forces.sum(),
+            *(contacts["centre"][row] - centre),
+        )
         sds = contacts["total_sd"][row], *contacts["centre_sd"][row]
         for k, (error, sd) in enumerate(zip(errors, sds, strict=True)):
             if sd > 0:  # 0: the noise is not known, or the contact is one taxel
                 self.in_sd[min(k, 1)].append(float(error / sd))
 
-    def _follow_id(self, contact_id: int, number: int, part: _Part, ids: Sequence[int]) -> None:
+    def _follow_id(
+        self, contact_id: int, number: int, part: _Part, ids: Sequence[int]
+    ) -> None:
         """Compare the id found at a true contact with the one before."""
         self.n_followed += 1
-        owners = (true_id for true_id, followed in part.number_of_id.items() if followed == number)
+        owners = (
+            true_id
+            for true_id, followed in part.number_of_id.items()
+            if followed == number
+        )
         owner = next(owners, contact_id)
         if part.number_of_id.get(contact_id, number) != number:
             if owner != contact_id and owner not in ids:
@@ -241,7 +265,9 @@ class ContactScores:
             "off_mm": _product(off, pitch_mm),
             "force": _product(_median(self.relative), 100),
             "total_sds": _product(_median(np.abs(total_errors)), 1 / MEDIAN_OF_NORMAL),
-            "centre_sds": _product(_median(np.abs(centre_errors)), 1 / MEDIAN_OF_NORMAL),
+            "centre_sds": _product(
+                _median(np.abs(centre_errors)), 1 / MEDIAN_OF_NORMAL
+            ),
             "total_held": _share_within(total_errors),
             "centre_held": _share_within(centre_errors),
             "lost": _scaled(1000, self.n_lost, n_followed),

@@ -25,7 +25,13 @@ from sparseskin.studies.frames import (
     part_of,
     scene_of,
 )
-from sparseskin.studies.harness import LARGER, PAPER_ROWS, Candidate, Experiment, Measurement
+from sparseskin.studies.harness import (
+    LARGER,
+    PAPER_ROWS,
+    Candidate,
+    Experiment,
+    Measurement,
+)
 from sparseskin.studies.points import StudyError
 from sparseskin.studies.presses import BODIES, COURSES, SKINS
 
@@ -49,8 +55,12 @@ CANDIDATES = {
     SKIN: Candidate(PRESETS["skin"]),
     ADAPTIVE: Candidate(PRESETS["skin"], changes={"phi": "adaptive"}),
     ALONE: Candidate(PRESETS["skin"], alone=True),
-    FEW_STEPS: Candidate({**PRESETS["skin"], "iterations": 3}, changes={"rows": ROTATING}),
-    FORMULA: Candidate({**PRESETS["skin"], "gates": "formula"}, changes={"rows": ROTATING}),
+    FEW_STEPS: Candidate(
+        {**PRESETS["skin"], "iterations": 3}, changes={"rows": ROTATING}
+    ),
+    FORMULA: Candidate(
+        {**PRESETS["skin"], "gates": "formula"}, changes={"rows": ROTATING}
+    ),
     PAPER: Candidate(PRESETS["paper"], changes={"rows": PAPER_ROWS}),
     "lattice": Candidate(of="lattice"),
     "hold": Candidate(of="hold"),
@@ -73,13 +83,16 @@ MANY = "converged"
 SINGLE = {
     SKIN: Candidate(PRESETS["skin"], alone=True),
     **{
-        f"TV {label}, {weight:g}": Candidate({"weight": weight, "iterations": n}, of="tv")
+        f"TV {label}, {weight:g}": Candidate(
+            {"weight": weight, "iterations": n}, of="tv"
+        )
         for label, n in ((FEW, 4), (MANY, 1500))
         for weight in WEIGHTS_N
     },
     **{
         f"Haar {label}, {weight:g}": Candidate(
-            {"solver": "fista", "basis": "haar", "iterations": n, "lambda_n": weight}, alone=True
+            {"solver": "fista", "basis": "haar", "iterations": n, "lambda_n": weight},
+            alone=True,
         )
         for label, n in ((FEW, 30), (MANY, 1000))
         for weight in WEIGHTS_N
@@ -105,7 +118,11 @@ PRESS_FRAMES = 160
 QUICK_PRESS_FRAMES = 60
 """Of moving bodies: taxels a frame, part of the skin that is touched, frames; of constants
 in a quick run."""
-SIZES = (*((shape, None) for shape in SKINS if shape[0] < 40), ((20, 20), None), ((20, 20), 42))
+SIZES = (
+    *((shape, None) for shape in SKINS if shape[0] < 40),
+    ((20, 20), None),
+    ((20, 20), 42),
+)
 """Small skins: shape, and number of scattered taxels (None: one in each cell)."""
 QUICK_SIZES = (((4, 4), None), ((10, 10), None))
 ACTIVE = (0.1, 0.3, 0.6)
@@ -128,14 +145,21 @@ class Runs:
     """
 
     def __init__(
-        self, out: Path, executor: str, quick: bool, seeds: Sequence[int], recordings: Path | None
+        self,
+        out: Path,
+        executor: str,
+        quick: bool,
+        seeds: Sequence[int],
+        recordings: Path | None,
     ) -> None:
         self._out = out
         self._executor = executor
         self._quick = quick
         self._seeds = seeds
         self._n_recorded = QUICK_RECORDED if quick else LONGEST_RECORDED
-        self._files = readable(files_in(recordings), self._n_recorded) if recordings else []
+        self._files = (
+            readable(files_in(recordings), self._n_recorded) if recordings else []
+        )
 
     def _rows(
         self,
@@ -147,7 +171,9 @@ class Runs:
         ratios: Sequence[int] = RATIOS,
     ) -> pd.DataFrame:
         """Rows of `CANDIDATES` at some ratios, and of the readings of all taxels at ratio 1."""
-        all_candidates = CANDIDATES | READINGS | {kind: Candidate(of=kind) for kind in CODECS}
+        all_candidates = (
+            CANDIDATES | READINGS | {kind: Candidate(of=kind) for kind in CODECS}
+        )
         parts = (label, names, ratios), (f"{label}, all taxels", readings, (1,))
         return pd.concat(
             self._run(
@@ -162,7 +188,9 @@ class Runs:
 
     def _run(self, *parts: Any) -> pd.DataFrame:
         """Rows of an experiment of these parts."""
-        make_experiment: Callable[..., Experiment] = partial(Experiment, seeds=self._seeds)
+        make_experiment: Callable[..., Experiment] = partial(
+            Experiment, seeds=self._seeds
+        )
         return make_experiment(*parts).run(self._out, self._executor)
 
     def scenes(self) -> pd.DataFrame:
@@ -177,7 +205,9 @@ class Runs:
         """Scenes of which every k-th frame is read, so that bodies move further a frame."""
         names = (DEFAULT, SKIN, PAPER, ALONE, *ALIKE)
         frames = list(rated_frames(self._quick))
-        rows = self._rows("rates", frames, names, PSNR, (ALL, FILTERED, RAW), ratios=(3,))
+        rows = self._rows(
+            "rates", frames, names, PSNR, (ALL, FILTERED, RAW), ratios=(3,)
+        )
         step_ms = rows["scene"].map(lambda scene: 1e-6 * scene_of(scene).dt_ns)
         return rows.assign(spacing_ms=rows["every"] * step_ms)
 
@@ -215,7 +245,10 @@ class Runs:
         frames: list[Frames] = [*self.recorded_frames(self._n_recorded // 2)]
         frames += [
             PressFrames(body, (side, side), n_frames, course, SPEED, TOUCHED)
-            for course, bodies in (("moving", QUICK_BODIES), ("sudden", QUICK_BODIES[:1]))
+            for course, bodies in (
+                ("moving", QUICK_BODIES),
+                ("sudden", QUICK_BODIES[:1]),
+            )
             for body in bodies
         ]
         measurements = [Measurement(ratio, rows) for rows in ROWS]
@@ -226,16 +259,23 @@ class Runs:
         """Single frames without a past, beside total variation and Haar, each weight by itself."""
         stop = ALONE_FRAMES * 100
         measurements = [*map(Measurement, RATIOS)]
-        scenes = [SceneFrames(scene, first=0, stop=stop, every=100) for scene in SCENES[:4]]
+        scenes = [
+            SceneFrames(scene, first=0, stop=stop, every=100) for scene in SCENES[:4]
+        ]
         frames: list[Frames] = [*self.recorded_frames(ALONE_FRAMES), *scenes]
-        return self._run("frames alone", frames, measurements, SINGLE, ("median", "mean_ms"))
+        return self._run(
+            "frames alone", frames, measurements, SINGLE, ("median", "mean_ms")
+        )
 
     def recorded_frames(self, n_most: int | None = None) -> list[RecordedFrames]:
         """The recordings as sources of frames, of at most `n_most` each."""
         # The first frames are not scored: until "hold" has read all taxels once.
         n = n_most or self._n_recorded
         unscored = max(RATIOS)
-        return [RecordedFrames(str(path), digest_of(path), n, unscored) for path in self._files]
+        return [
+            RecordedFrames(str(path), digest_of(path), n, unscored)
+            for path in self._files
+        ]
 
     def recordings(self) -> pd.DataFrame:
         """Recordings of real skins; the recording itself is the truth."""
@@ -243,11 +283,15 @@ class Runs:
         frames = self.recorded_frames()
         rows = self._rows("recordings", frames, tuple(CANDIDATES), scores, CODECS)
         stems = [path.stem for path in self._files]
-        labels = {str(p): p.stem if stems.count(p.stem) == 1 else p.name for p in self._files}
+        labels = {
+            str(p): p.stem if stems.count(p.stem) == 1 else p.name for p in self._files
+        }
         return rows.assign(recording=rows["path"].map(labels))
 
 
-def rated_frames(quick: bool, rates_hz: Sequence[int] = RATES_HZ) -> Iterator[SceneFrames]:
+def rated_frames(
+    quick: bool, rates_hz: Sequence[int] = RATES_HZ
+) -> Iterator[SceneFrames]:
     """Scenes at each frame rate, over the same time."""
     span_s = QUICK_SPAN_S if quick else SPAN_S
     for scene in RATED_SCENES:
@@ -270,5 +314,7 @@ def readable(files: Sequence[Path], n_most: int) -> list[Path]:
         except SparseskinError as error:
             print(f"accuracy: skipped: {error}", file=sys.stderr)
     if not usable:
-        raise StudyError(f"--recordings {files[0].parent}: none of {len(files)} files can be used")
+        raise StudyError(
+            f"--recordings {files[0].parent}: none of {len(files)} files can be used"
+        )
     return usable

@@ -31,9 +31,15 @@ def amplified(point: Mapping[str, Any]) -> dict[str, Any]:
     of_rows = Measurement(point["N /"], point["rows"])
     if take.n < point["N /"]:
         return {"methods": {}}
-    settings: dict[str, dict[str, str]] = {"as it is": {}, CHANGED: {}, READABLE: {"fast": "off"}}
+    settings: dict[str, dict[str, str]] = {
+        "as it is": {},
+        CHANGED: {},
+        READABLE: {"fast": "off"},
+    }
     methods: dict[str, Any] = {
-        name: Candidate({**PRESETS["skin"], **changed_settings}).make(of_rows, take, point["seed"])
+        name: Candidate({**PRESETS["skin"], **changed_settings}).make(
+            of_rows, take, point["seed"]
+        )
         for name, changed_settings in settings.items()
     }
     rng = np.random.default_rng(point["seed"])
@@ -46,28 +52,43 @@ def amplified(point: Mapping[str, Any]) -> dict[str, Any]:
             y = methods["as it is"].measure(taxels)
             change = CHANGE * np.abs(y).max() * rng.choice([-1.0, 1.0], y.size)
             of = dict.fromkeys(methods, y) | {CHANGED: (y + change).astype(np.float32)}
-            forces = {name: method.solve(of[name]).forces for name, method in methods.items()}
+            forces = {
+                name: method.solve(of[name]).forces for name, method in methods.items()
+            }
             largest = max(largest, float(forces["as it is"].max()))
             for name, of_method in forces.items():
                 changes[name] = max(
                     changes[name], float(np.abs(of_method - forces["as it is"]).max())
                 )
     largest = max(largest, TINY)
-    return {"methods": {name: {"change": changes[name] / largest} for name in (CHANGED, READABLE)}}
+    return {
+        "methods": {
+            name: {"change": changes[name] / largest} for name in (CHANGED, READABLE)
+        }
+    }
 
 
 def section(page: Page, executor: str, frames: Sequence[Frames], seed: int) -> str:
     """Compute and add the section: `amplified` by source, ratio and rows; return its line."""
     kinds = product(map(stated, frames), (3, 8), (ROTATING, FIXED))
-    points = [{"frames": of, "N /": ratio, "rows": rows, "seed": seed} for of, ratio, rows in kinds]
-    points = [point for point in points if point["frames"]["kind"] != UntouchedFrames.__name__]
+    points = [
+        {"frames": of, "N /": ratio, "rows": rows, "seed": seed}
+        for of, ratio, rows in kinds
+    ]
+    points = [
+        point for point in points if point["frames"]["kind"] != UntouchedFrames.__name__
+    ]
     results = compute(amplified, points, page.out, executor, "rounding")
     kind_names = {"RecordedFrames": "recordings", "SceneFrames": "scenes"}
-    keys = [{**p, "frames": kind_names.get(p["frames"]["kind"], "presses")} for p in points]
+    keys = [
+        {**p, "frames": kind_names.get(p["frames"]["kind"], "presses")} for p in points
+    ]
     every = method_rows(keys, results, "by")
     page.csv("rounding", every)
     by = every.groupby(["frames", "N /", "rows", "by"], sort=False)["change"]
-    table = by.agg(lambda of_kind: f"{of_kind.median():.0e}, {of_kind.max():.0e}").unstack("by")
+    table = by.agg(
+        lambda of_kind: f"{of_kind.median():.0e}, {of_kind.max():.0e}"
+    ).unstack("by")
     page.section("Rounding", table.reset_index(), change=CHANGE)
     parts = [
         f"{name}: {np.count_nonzero(of_kind < WITHIN)} of {len(of_kind)} streams change by less "

@@ -63,11 +63,15 @@ def _constant(does: str, **tuning: float) -> Rule:
 
 def _patched(does: str, *patches: tuple[str, str, Any]) -> Rule:
     """A rule that other values of attributes switch off."""
-    return Rule(does, patches={(module, name): value for module, name, value in patches})
+    return Rule(
+        does, patches={(module, name): value for module, name, value in patches}
+    )
 
 
 RULES: dict[str, Rule] = {
-    "falling damping": _constant("later steps of a frame are smaller", damped_from=1000),
+    "falling damping": _constant(
+        "later steps of a frame are smaller", damped_from=1000
+    ),
     "weights by residuals": _constant(
         "estimates of steps count by their residuals", residual_power=0
     ),
@@ -78,17 +82,26 @@ RULES: dict[str, Rule] = {
     "bound of alpha": _constant(
         "the denoiser's expected error is bounded in the iteration", most_alpha=0.9999
     ),
-    "motion of the prediction": _constant("the last estimate is moved and scaled", motion=OFF),
+    "motion of the prediction": _constant(
+        "the last estimate is moved and scaled", motion=OFF
+    ),
     "ridge of the motion": _constant("energies of the motion have a ridge", ridge=0),
-    "least measurements of a motion": _constant("few measurements show no motion", least_read=0),
-    "mean of the noise": _constant("the noise level is averaged over frames", noise_rate=1),
+    "least measurements of a motion": _constant(
+        "few measurements show no motion", least_read=0
+    ),
+    "mean of the noise": _constant(
+        "the noise level is averaged over frames", noise_rate=1
+    ),
     "bound of the noise's growth": _constant(
         "the noise level grows by a factor per frame at most", noise_growth=OFF
     ),
     "bound by the least noise": _constant(
-        "the noise level is bounded by the least one and the pressed part", pressed_noise=OFF
+        "the noise level is bounded by the least one and the pressed part",
+        pressed_noise=OFF,
     ),
-    "louder": _constant("what exceeds the least noise is no noise of a skin", louder=OFF),
+    "louder": _constant(
+        "what exceeds the least noise is no noise of a skin", louder=OFF
+    ),
     "significance": _constant(
         "an excess counts as far as noise does not explain it", significant=1e-6
     ),
@@ -98,15 +111,22 @@ RULES: dict[str, Rule] = {
     "dependent errors": _constant(
         "errors of a prediction count as dependent on each other", prior=1, doubt=0
     ),
-    "filters of the rows": _constant("each row remembers its measurements", most_recalled=0),
-    "recall": _constant(
-        "a regression finds the part of the filters' correction that counts", recall_ridge=OFF
+    "filters of the rows": _constant(
+        "each row remembers its measurements", most_recalled=0
     ),
-    "memory of the recall": _constant("that regression keeps past frames", recall_memory=0),
+    "recall": _constant(
+        "a regression finds the part of the filters' correction that counts",
+        recall_ridge=OFF,
+    ),
+    "memory of the recall": _constant(
+        "that regression keeps past frames", recall_memory=0
+    ),
     "motion of the filters": _constant(
         "means of the filters move as the prediction does", most_confirmed=0
     ),
-    "memory of their motion": _constant("its regressions keep past frames", motion_memory=0),
+    "memory of their motion": _constant(
+        "its regressions keep past frames", motion_memory=0
+    ),
     "blend with the prediction": _constant(
         "the estimate is a mean of the steps and the prediction", blend=OFF
     ),
@@ -115,25 +135,34 @@ RULES: dict[str, Rule] = {
     ),
     "least trust": _constant("that trust has a least value", least_trust=1e-9),
     "bias": _constant("the mean of clipped noise is subtracted", most_bias=0),
-    "first rate of the bias": _constant("the bias is learned faster at first", bias_begins=0),
+    "first rate of the bias": _constant(
+        "the bias is learned faster at first", bias_begins=0
+    ),
     "growth of the least noise": _constant(
         "the least noise so far is forgotten slowly", bias_forgotten=1
     ),
     "optimism": _constant("estimates err more than the gates expect", optimism=1),
-    "silence": _constant("after silence, a noise that is not stated is doubted", silence_kept=0),
+    "silence": _constant(
+        "after silence, a noise that is not stated is doubted", silence_kept=0
+    ),
     "unexplained residual": _constant(
-        "an untouched skin has a residual of noise alone", unexplained=OFF, unresolved=OFF
+        "an untouched skin has a residual of noise alone",
+        unexplained=OFF,
+        unresolved=OFF,
     ),
     "unresolved residual": _constant(
         "the same more strictly, where the noise is stated", unresolved=OFF
     ),
-    "untouched": _constant("weak forces are trusted as those of an untouched skin", untouched=0),
+    "untouched": _constant(
+        "weak forces are trusted as those of an untouched skin", untouched=0
+    ),
     "error of the estimate": _constant("a large error is not trusted", trusted=OFF),
     "doubt of measurements": _constant(
         "measurements that no force explains are doubted", outlying=OFF
     ),
     "sums of blocks": _patched(
-        "sums of blocks are not compared with other rows", (f"{SKIN}.row_subset", "HEAVY", OFF)
+        "sums of blocks are not compared with other rows",
+        (f"{SKIN}.row_subset", "HEAVY", OFF),
     ),
     "what stands out": _patched(
         "tiles in which nothing stands out of the noise are 0",
@@ -141,7 +170,8 @@ RULES: dict[str, Rule] = {
         (f"{SKIN}.compiled_vectors", "STANDS_OUT", (1e-6,) * 4),
     ),
     "repeated measurements": _patched(
-        "a measurement that repeats exactly counts once", (f"{SKIN}.estimator", "REPEATED", 0.0)
+        "a measurement that repeats exactly counts once",
+        (f"{SKIN}.estimator", "REPEATED", 0.0),
     ),
     "repeats and silence": _patched(
         "frames that repeat or are 0 beside others show nothing new",
@@ -174,7 +204,8 @@ RULES: dict[str, Rule] = {
         (f"{FAULTS}.repeats", "RepeatWatch.faulty", _always(None)),
     ),
     "offset": _patched(
-        "an offset of all measurements is subtracted", (f"{FAULTS}.offset", "SIGNIFICANT", math.inf)
+        "an offset of all measurements is subtracted",
+        (f"{FAULTS}.offset", "SIGNIFICANT", math.inf),
     ),
     "stuck taxels": _patched(
         "the sensor finds taxels that repeat their readings",
@@ -184,7 +215,9 @@ RULES: dict[str, Rule] = {
         "those beside them fill them in",
         (f"{SENSOR}.repeats", "Repeats.filled", lambda self, forces: forces),
     ),
-    "range": _patched("forces beyond the range are marked", (f"{FAULTS}.watch", "BEYOND", OFF)),
+    "range": _patched(
+        "forces beyond the range are marked", (f"{FAULTS}.watch", "BEYOND", OFF)
+    ),
 }
 """Rules by name."""
 OWN_FAULTS = {
@@ -265,7 +298,9 @@ def switched_off(rule: Rule) -> Iterator[SkinTuning]:
             for owner in owners:
                 target = getattr(target, owner)
             # Attributes of instances are none of their class.
-            stack.enter_context(patch.object(target, attribute, value, create=bool(owners)))
+            stack.enter_context(
+                patch.object(target, attribute, value, create=bool(owners))
+            )
         yield tuning
 
 
@@ -289,7 +324,12 @@ def points(n_worlds: int, n_own: int, seed: int) -> list[dict[str, Any]]:
         for name in (UNCHANGED, *RULES)
     ]
     own = [
-        {"rule": name, "seed": 1000 * seed + k, "has_fault": True, "fault": OWN_FAULTS[rule]}
+        {
+            "rule": name,
+            "seed": 1000 * seed + k,
+            "has_fault": True,
+            "fault": OWN_FAULTS[rule],
+        }
         for k in range(n_own)
         for rule in OWN_FAULTS
         if rule in RULES
@@ -314,9 +354,9 @@ def worlds(out: Path, executor: str, quick: bool, seed: int) -> pd.DataFrame:
     """Verdicts on `points`."""
     n_worlds, n_own = (QUICK_WORLDS, QUICK_OWN) if quick else (N_WORLDS, N_OWN)
     asked = points(n_worlds, n_own, seed)
-    rows = pd.DataFrame(compute_rows(measure, asked, out, executor, "rules")).drop_duplicates(
-        ["rule", "seed", "has_fault", "fault"]
-    )
+    rows = pd.DataFrame(
+        compute_rows(measure, asked, out, executor, "rules")
+    ).drop_duplicates(["rule", "seed", "has_fault", "fault"])
     return rows.drop(columns="reasons").astype({"error": float, "reading": float})
 
 
@@ -329,7 +369,9 @@ def figures_of_worlds(rows: pd.DataFrame) -> pd.DataFrame:
 
     sound = rows[~rows["has_fault"]]
     sums = sound.groupby("rule")[["close", "estimated"]].sum()
-    columns.append((100 * sums["close"] / sums["estimated"]).rename("estimates close, %"))
+    columns.append(
+        (100 * sums["close"] / sums["estimated"]).rename("estimates close, %")
+    )
     is_far = sound["is_still"] & (sound["reading"] < GOOD)
     # An estimate that is no number is far, too.
     is_far &= ~(sound["error"] <= FAR_FROM_READING * sound["reading"])
@@ -343,7 +385,9 @@ def _shares(rows: pd.DataFrame, ending: str) -> pd.DataFrame:
     """Parts of the frames of some worlds in %, a line a rule; `ending`: of their columns."""
     sums = rows.groupby("rule", sort=False)
     shares = 100 * sums[list(COUNTS)].sum().div(sums["frames"].sum(), axis=0)
-    return shares.rename(columns={of: f"{name}{ending}, %" for of, name in COUNTS.items()})
+    return shares.rename(
+        columns={of: f"{name}{ending}, %" for of, name in COUNTS.items()}
+    )
 
 
 def changes_of_worlds(rows: pd.DataFrame) -> pd.DataFrame:
@@ -370,7 +414,11 @@ def table(scores: pd.DataFrame, of_worlds: pd.DataFrame) -> pd.DataFrame:
     lines = [{"rule": UNCHANGED, "off by": "", "its fault": ""}]
     lines[0] |= {key: f"{base[key]:.3g}" for key in COLUMNS if key in base}
     for name, rule in RULES.items():
-        line = {"rule": name, "off by": rule.switch, "its fault": OWN_FAULTS.get(name, "")}
+        line = {
+            "rule": name,
+            "off by": rule.switch,
+            "its fault": OWN_FAULTS.get(name, ""),
+        }
         for key, column in COLUMNS.items():
             change = made.loc[name, key]
             line[key] = "-" if pd.isna(change) else format(change, column.spec)
@@ -381,7 +429,9 @@ def table(scores: pd.DataFrame, of_worlds: pd.DataFrame) -> pd.DataFrame:
 def worse(of_rule: pd.Series) -> str:
     """The columns that are worse without a rule, the worst first."""
     ratios = {key: of_rule[key] / column.counts_from for key, column in COLUMNS.items()}
-    worst = sorted((key for key in ratios if ratios[key] >= 1), key=lambda key: -ratios[key])
+    worst = sorted(
+        (key for key in ratios if ratios[key] >= 1), key=lambda key: -ratios[key]
+    )
     if not worst:
         return NOTHING
     return "; ".join([f"**{worst[0]}**", *worst[1:]])

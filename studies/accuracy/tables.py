@@ -10,7 +10,12 @@ import numpy as np
 import pandas as pd
 
 from sparseskin.nodes.reconstructor.settings import PRESETS
-from sparseskin.studies.baselines.sampling import CODECS, DEAD_ZONE_N, JUMP_SIGMAS, NEWEST
+from sparseskin.studies.baselines.sampling import (
+    CODECS,
+    DEAD_ZONE_N,
+    JUMP_SIGMAS,
+    NEWEST,
+)
 from sparseskin.studies.evaluate import (
     CLOSE,
     GHOST,
@@ -74,7 +79,11 @@ def run(
         raise StudyError("--constants: needs recordings, by --recordings DIR")
     runs = Runs(out, executor, quick, range(seed, seed + seeds), recordings)
     page = Page(out, "accuracy", Path(__file__).with_name("notes.md"), quick)
-    of_filter = {"newest": NEWEST, "jump_sigmas": JUMP_SIGMAS, "dead_zone_n": DEAD_ZONE_N}
+    of_filter = {
+        "newest": NEWEST,
+        "jump_sigmas": JUMP_SIGMAS,
+        "dead_zone_n": DEAD_ZONE_N,
+    }
     ratios = " / ".join(f"N/{ratio}" for ratio in RATIOS)
     page.section("", value_bytes=VALUE_BYTES, ratios=ratios, seeds=seeds, **of_filter)
     lines = recorded(page, runs, quick) if recordings else []
@@ -98,10 +107,20 @@ def by_ratio(rows: pd.DataFrame, keys: Sequence[str], text: str) -> pd.DataFrame
     `text`: cell of one ratio, as "{mean_db:.1f}"; methods that have no figure are left out.
     """
     figures = [name for name in rows.columns if f"{{{name}:" in text]
-    complete = rows[rows[figures].notna().all(axis=1)].astype(dict.fromkeys(figures, float))
-    means = complete.groupby([*keys, "method", "ratio"], sort=False)[figures].mean().reset_index()
+    complete = rows[rows[figures].notna().all(axis=1)].astype(
+        dict.fromkeys(figures, float)
+    )
+    means = (
+        complete.groupby([*keys, "method", "ratio"], sort=False)[figures]
+        .mean()
+        .reset_index()
+    )
     means = means.assign(cell=cells(means, text)).sort_values("ratio", kind="stable")
-    joined = means.groupby([*keys, "method"], sort=False)["cell"].agg(" / ".join).unstack("method")
+    joined = (
+        means.groupby([*keys, "method"], sort=False)["cell"]
+        .agg(" / ".join)
+        .unstack("method")
+    )
     lines = complete[list(keys)].drop_duplicates()
     order = [name for name in METHODS if name in joined]
     return lines.join(joined[order], on=list(keys)).fillna("-")
@@ -112,14 +131,21 @@ def over(rows: pd.DataFrame, keys: Sequence[str], reference: str) -> pd.Series:
     of = rows[rows["method"] == reference]
     by = [*keys, "seed"] + (["ratio"] if of["ratio"].nunique() > 1 else [])
     base = of.set_index(by)["mean_db"].astype(float)
-    return rows["mean_db"].astype(float) - base.reindex(pd.MultiIndex.from_frame(rows[by])).array
+    return (
+        rows["mean_db"].astype(float)
+        - base.reindex(pd.MultiIndex.from_frame(rows[by])).array
+    )
 
 
 def scenes(page: Page, runs: Runs) -> str:
     """Simulated scenes at their own rate: gain over preset paper, and PSNR."""
     rows = runs.scenes()
-    rows["taxels"] = rows["scene"].map(lambda scene: "{} x {}".format(*scene_of(scene).shape))
-    rows["gain"], rows["over_raw"] = (over(rows, ["scene"], name) for name in (PAPER, RAW))
+    rows["taxels"] = rows["scene"].map(
+        lambda scene: "{} x {}".format(*scene_of(scene).shape)
+    )
+    rows["gain"], rows["over_raw"] = (
+        over(rows, ["scene"], name) for name in (PAPER, RAW)
+    )
     ours = rows[rows["method"].isin([DEFAULT, SKIN])]
     page.csv("scenes", rows)
     page.section(
@@ -162,7 +188,9 @@ def rates(page: Page, runs: Runs) -> str:
     for method in (PAPER, FILTERED):
         gain = means[DEFAULT] - means[method]
         ends = (rows["spacing_ms"].min(), rows["spacing_ms"].max())
-        gain_texts.append(", ".join(f"{gain[ms]:+.1f} dB at {1000 / ms:.0f} Hz" for ms in ends))
+        gain_texts.append(
+            ", ".join(f"{gain[ms]:+.1f} dB at {1000 / ms:.0f} Hz" for ms in ends)
+        )
     over_paper, over_filter = gain_texts
     return f"{DEFAULT} at N/3 against preset paper: {over_paper}; against a filter: {over_filter}."
 
@@ -186,10 +214,13 @@ def moving(page: Page, runs: Runs) -> str:
         speed=SPEED,
     )
     mean_of = (
-        rows[rows["ratio"].isin([1, RATIOS[0]])].groupby(["course", "method"])["mean_db"].mean()
+        rows[rows["ratio"].isin([1, RATIOS[0]])]
+        .groupby(["course", "method"])["mean_db"]
+        .mean()
     )
     courses = [
-        f"{of}: " + ", ".join(f"{name} {mean_of[of, name]:.1f}" for name in (DEFAULT, PAPER, RAW))
+        f"{of}: "
+        + ", ".join(f"{name} {mean_of[of, name]:.1f}" for name in (DEFAULT, PAPER, RAW))
         for of in rows["course"].unique()
     ]
     return f"Bodies at N/{RATIOS[0]}, mean PSNR in dB: {'; '.join(courses)}."
@@ -198,7 +229,9 @@ def moving(page: Page, runs: Runs) -> str:
 def sizes(page: Page, runs: Runs) -> None:
     """Contacts on small skins: how far off a reconstruction is, and which contacts it loses."""
     rows = runs.sizes()
-    numbers = [f", {n:.0f} taxels" if n > 0 else "" for n in rows["n_scattered"].astype(float)]
+    numbers = [
+        f", {n:.0f} taxels" if n > 0 else "" for n in rows["n_scattered"].astype(float)
+    ]
     rows["taxels"] = rows["shape"].map("{0[0]} x {0[1]}".format) + numbers
     page.csv("sizes", rows)
     page.section(
@@ -218,10 +251,16 @@ def single(page: Page, runs: Runs) -> str:
     rows["of"] = names.fillna(rows["scene"])
     rows["method"] = rows["method"].str.rsplit(", ", n=1).str[0]
     rows = rows.astype({"median": float, "mean_ms": float})
-    best = rows.loc[rows.groupby(["of", "ratio", "method"], sort=False)["median"].idxmin()]
+    best = rows.loc[
+        rows.groupby(["of", "ratio", "method"], sort=False)["median"].idxmin()
+    ]
     page.csv("alone", best.drop(columns=["path"]))
     text = best.assign(cell=cells(best, "{median:.1f}"))
-    joined = text.groupby(["of", "method"], sort=False)["cell"].agg(" / ".join).unstack("method")
+    joined = (
+        text.groupby(["of", "method"], sort=False)["cell"]
+        .agg(" / ".join)
+        .unstack("method")
+    )
     times = best.groupby("method", sort=False)["mean_ms"].median()
     ours = best[best["method"] == SKIN].set_index(["of", "ratio"])["median"]
     parts = []
@@ -230,22 +269,30 @@ def single(page: Page, runs: Runs) -> str:
         ahead = int((ours <= medians).sum())
         ms = f"{times[method]:.2g} ms"
         parts.append(f"{method} ({ms}) in {ahead} of {len(medians)}")
-    line = f"Frames alone, {SKIN} ({times[SKIN]:.2g} ms) is ahead of {'; '.join(parts)}."
+    line = (
+        f"Frames alone, {SKIN} ({times[SKIN]:.2g} ms) is ahead of {'; '.join(parts)}."
+    )
     page.section("Frames alone", joined.reset_index(), n=ALONE_FRAMES)
     return line
 
 
 def touched(page: Page, rows: pd.DataFrame) -> str:
     """Contacts that are found, beside the true ones."""
-    of_frames = rows.reindex(columns=["path", "scene", "kind", "body", "course", "strength"])
+    of_frames = rows.reindex(
+        columns=["path", "scene", "kind", "body", "course", "strength"]
+    )
     rows["frames"] = [*map(_source, of_frames.itertuples())]
     page.csv("contacts", rows.drop(columns=["path"], errors="ignore"))
     classes = rows.explode(["n_true", "n_missed"])
     classes["force"] = list(contacts.CLASSES) * len(rows)
-    sums = classes.groupby(["force", "method", "ratio"], sort=False)[["n_true", "n_missed"]].sum()
+    sums = classes.groupby(["force", "method", "ratio"], sort=False)[
+        ["n_true", "n_missed"]
+    ].sum()
     sums = sums[sums["n_true"] > 0].reset_index()
     sums["missed"] = 100 * sums["n_missed"] / sums["n_true"]
-    sums = sums.set_index("force").loc[[c for c in contacts.CLASSES if c in set(sums["force"])]]
+    sums = sums.set_index("force").loc[
+        [c for c in contacts.CLASSES if c in set(sums["force"])]
+    ]
     keys = ["frames"]
     page.section(
         "Contacts",
@@ -257,7 +304,9 @@ def touched(page: Page, rows: pd.DataFrame) -> str:
         "of a taxel:",
         by_ratio(sums.reset_index(), ["force"], "{missed:.1f}"),
         "The same by source:",
-        by_ratio(rows.assign(missed=100 - rows["found"].astype(float)), keys, "{missed:.1f}"),
+        by_ratio(
+            rows.assign(missed=100 - rows["found"].astype(float)), keys, "{missed:.1f}"
+        ),
         "Contacts where nothing touches, in 1000 frames:",
         by_ratio(rows, keys, "{ghosts:.0f}"),
         "Median error of the centre in mm:",
@@ -274,7 +323,9 @@ def touched(page: Page, rows: pd.DataFrame) -> str:
         ratios=" / ".join(f"N/{ratio}" for ratio in contacts.CONTACT_RATIOS),
     )
     means = rows.astype({"found": float}).groupby(["method", "ratio"])["found"].mean()
-    ours = ", ".join(f"{mean:.1f} % at N/{ratio:g}" for ratio, mean in means[DEFAULT].items())
+    ours = ", ".join(
+        f"{mean:.1f} % at N/{ratio:g}" for ratio, mean in means[DEFAULT].items()
+    )
     reading = means[RAW].iloc[0]
     return f"Contacts found, mean over the sources: {ours}, {reading:.1f} % in the full reading."
 
@@ -283,7 +334,9 @@ def _source(one: Any) -> str:
     """Name of frames: that of the file or scene, body and course, or kind."""
     if isinstance(one.body, str):
         return f"{one.body} {one.course}{f' x {one.strength:g}' if one.strength < 1 else ''}"
-    file_names = (Path(name).stem for name in (one.path, one.scene) if isinstance(name, str))
+    file_names = (
+        Path(name).stem for name in (one.path, one.scene) if isinstance(name, str)
+    )
     return next(file_names, one.kind.removesuffix("Frames").lower())
 
 
@@ -294,12 +347,18 @@ def varied(page: Page, runs: Runs) -> None:
     print(markdown(changes))
     names = rows["path"].map(lambda path: Path(path).name, "ignore")
     page.csv("constants", rows.assign(recording=names).drop(columns=["path"]))
-    page.section("Constants", changes, least=LEAST_ERROR, ratio=max(RATIOS), wrong=100 * WRONG)
+    page.section(
+        "Constants", changes, least=LEAST_ERROR, ratio=max(RATIOS), wrong=100 * WRONG
+    )
 
 
-def without_rules(page: Page, runs: Runs, executor: str, quick: bool, seed: int) -> None:
+def without_rules(
+    page: Page, runs: Runs, executor: str, quick: bool, seed: int
+) -> None:
     """Rules of the default solver and of the search for faults, each switched off."""
-    rows = runs.constants({UNCHANGED: Candidate(PRESETS["skin"]), **rules.candidates()}, "rules")
+    rows = runs.constants(
+        {UNCHANGED: Candidate(PRESETS["skin"]), **rules.candidates()}, "rules"
+    )
     n_worlds = rules.QUICK_WORLDS if quick else rules.N_WORLDS
     of_worlds = rules.worlds(page.out, executor, quick, seed)
     lines = rules.table(rows, of_worlds)
@@ -335,35 +394,49 @@ def recorded(page: Page, runs: Runs, quick: bool) -> list[str]:
         least=LEAST_ERROR,
     )
     page.section("Marks and estimated errors", *marks(rows, keys))
-    failed = rows[rows["refused"] != ""].drop_duplicates(["recording", "method", "ratio"])
+    failed = rows[rows["refused"] != ""].drop_duplicates(
+        ["recording", "method", "ratio"]
+    )
     page.section(
         "All taxels read",
         by_ratio(packed, keys, "{n_bytes:.0f} / {median:.3g}"),
         by_ratio(compared[compared["method"] == DEFAULT], keys, "{n_bytes:.0f}"),
-        "\n".join(cells(failed, "- not computed: {recording}, {method}, N/{ratio}: {refused}")),
+        "\n".join(
+            cells(failed, "- not computed: {recording}, {method}, N/{ratio}: {refused}")
+        ),
     )
     return lines
 
 
 def geometric(rows: pd.DataFrame) -> list[str]:
     """Return a line a kind of rows of the default solver: geometric mean over the recordings."""
-    ours = rows["method"].isin((DEFAULT, SKIN))  # what reads all that matters may have no error
+    ours = rows["method"].isin(
+        (DEFAULT, SKIN)
+    )  # what reads all that matters may have no error
     with_error = rows[ours & rows["median"].notna() & (rows["ratio"] > 1)]
     logs = np.log(with_error["median"].astype(float))
     means = np.exp(logs.groupby([with_error["method"], with_error["ratio"]]).mean())
     lines = []
     for name in [default for default in (DEFAULT, SKIN) if default in means]:
-        text = ", ".join(f"{mean:.2f} % at N/{ratio:g}" for ratio, mean in means[name].items())
+        text = ", ".join(
+            f"{mean:.2f} % at N/{ratio:g}" for ratio, mean in means[name].items()
+        )
         lines.append(f"{name}: geometric mean of the median errors {text}.")
     return lines
 
 
 def beaten(rows: pd.DataFrame) -> list[str]:
     """Return a line a ratio: where the best simple method beats the default."""
-    with_error = rows[(rows["ratio"] > 1) & rows["median"].notna()].astype({"median": float})
+    with_error = rows[(rows["ratio"] > 1) & rows["median"].notna()].astype(
+        {"median": float}
+    )
     keys = ["recording", "ratio"]
     lines = []
-    means = with_error.groupby([*keys, "method"], sort=False)["median"].mean().unstack("method")
+    means = (
+        with_error.groupby([*keys, "method"], sort=False)["median"]
+        .mean()
+        .unstack("method")
+    )
     best = means[[name for name in SIMPLE if name in means]].min(axis=1)
     quotient = means[DEFAULT].clip(LEAST_ERROR) / best.clip(LEAST_ERROR)
     quotients = quotient.dropna().rename("quotient").reset_index()
@@ -402,7 +475,11 @@ def marks(rows: pd.DataFrame, keys: list[str]) -> tuple[Any, ...]:
         "Marked frames, in %:",
         by_ratio(rows, keys, "{flagged:.0f}"),
         "Estimated over true RMS error of contact frames: median (5th to 95th percentile):",
-        by_ratio(rows, keys, "{estimate_median:.2f} ({estimate_low:.2f} to {estimate_high:.2f})"),
+        by_ratio(
+            rows,
+            keys,
+            "{estimate_median:.2f} ({estimate_low:.2f} to {estimate_high:.2f})",
+        ),
         f"The same: frames within a factor of {CLOSE:g}, in %:",
         by_ratio(rows, keys, "{estimate_close:.0f}"),
         "\n".join(f"- {line}" for line in marked(rows)),
@@ -414,7 +491,10 @@ def marked(rows: pd.DataFrame) -> list[str]:
     lines = []
     for name, of_method in rows.groupby("method", sort=False):
         parts = []
-        bounds = {"wrong": f"above {100 * WRONG:g} %", "right": f"below {100 * RIGHT:g} %"}
+        bounds = {
+            "wrong": f"above {100 * WRONG:g} %",
+            "right": f"below {100 * RIGHT:g} %",
+        }
         for which, bound in bounds.items():
             share, n = _share(of_method[f"flagged_{which}"], of_method[f"n_{which}"])
             parts.append(f"{share:.1f} % of {n:.0f} frames with an error {bound}")
@@ -427,7 +507,9 @@ def marked(rows: pd.DataFrame) -> list[str]:
 def _share(shares: pd.Series, counts: pd.Series) -> tuple[float, float]:
     """Return the mean of some shares by their counts, and the sum of these."""
     n = counts.astype(float)
-    return float((shares.astype(float).fillna(0) * n).sum() / max(1.0, n.sum())), float(n.sum())
+    return float((shares.astype(float).fillna(0) * n).sum() / max(1.0, n.sum())), float(
+        n.sum()
+    )
 
 
 def facts(rows: pd.DataFrame, n_most: int) -> pd.DataFrame:
@@ -448,7 +530,9 @@ def facts(rows: pd.DataFrame, n_most: int) -> pd.DataFrame:
                 "frames": f"{part.first}..{stop - 1} of {part.n_recorded}",
                 "loaded": int(of_part["n_contact"].max() or 0),
                 "untouched": int(of_part["n_untouched"].max() or 0),
-                "spacing": "-" if part.spacing_ms is None else f"{part.spacing_ms:.3g} ms",
+                "spacing": "-"
+                if part.spacing_ms is None
+                else f"{part.spacing_ms:.3g} ms",
                 "pressed, %": f"{100 * np.mean(x > 0):.0f}",
                 "change, %": f"{100 * change:.1f}",
             }
@@ -457,7 +541,9 @@ def facts(rows: pd.DataFrame, n_most: int) -> pd.DataFrame:
 
 
 def _draw_contacts(out: Path, rows: pd.DataFrame) -> str:
-    caption = "Contacts found, of all true ones in all frames, by bytes a taxel in each frame"
+    caption = (
+        "Contacts found, of all true ones in all frames, by bytes a taxel in each frame"
+    )
     with_contacts = rows[rows["found"].notna()].astype({"found": float})
     with_contacts["bytes"] = VALUE_BYTES / with_contacts["ratio"]
     with_contacts["recorded"] = with_contacts["kind"] == "RecordedFrames"
@@ -472,9 +558,18 @@ def _draw_contacts(out: Path, rows: pd.DataFrame) -> str:
     ticks = [VALUE_BYTES / ratio for ratio in ratios]
     n = len(panels)
     labels = [f"{name}\n{tick:.3g}" for name, tick in zip(names, ticks, strict=True)]
-    with Chart(out, "contacts", caption, n, n, size_in=(9.5, 5.0), sharey=True) as chart:
+    with Chart(
+        out, "contacts", caption, n, n, size_in=(9.5, 5.0), sharey=True
+    ) as chart:
         for axes, (recorded, of_kind) in zip(chart.panels, panels, strict=True):
-            draw_lines(axes, of_kind, "bytes", "found", "frames", list(means["frames"].unique()))
+            draw_lines(
+                axes,
+                of_kind,
+                "bytes",
+                "found",
+                "frames",
+                list(means["frames"].unique()),
+            )
             axes.set_xscale("log")
             axes.set_xticks(ticks, labels)
             axes.set_xticks([], minor=True)
@@ -486,7 +581,9 @@ def _draw_contacts(out: Path, rows: pd.DataFrame) -> str:
 
 def _draw_rates(out: Path, rows: pd.DataFrame) -> str:
     drawn = (DEFAULT, ALL, FILTERED, RAW, ALONE, "hold")
-    caption = "Gain of mean PSNR over preset paper at N/3, by frame rate; contact frames"
+    caption = (
+        "Gain of mean PSNR over preset paper at N/3, by frame rate; contact frames"
+    )
     n = len(RATED_SCENES)
     ticks = [1000 / rate for rate in RATES_HZ]
     labels = [f"{rate}\n{ms:.3g}" for rate, ms in zip(RATES_HZ, ticks, strict=True)]
@@ -496,7 +593,9 @@ def _draw_rates(out: Path, rows: pd.DataFrame) -> str:
         for axes, scene in zip(chart.panels, RATED_SCENES, strict=True):
             of_scene = rows[(rows["scene"] == scene) & rows["method"].isin(drawn)]
             means = (
-                of_scene.groupby(["method", "spacing_ms"], sort=False)["gain"].mean().reset_index()
+                of_scene.groupby(["method", "spacing_ms"], sort=False)["gain"]
+                .mean()
+                .reset_index()
             )
             draw_lines(axes, means, "spacing_ms", "gain", "method", drawn)
             axes.axhline(0, color="black", linewidth=1.2)

@@ -74,7 +74,9 @@ class LargerTaxels:
 
     def sums(self, taxels: Floats) -> Floats:
         """Readings of the larger taxels: float32 (m,), newtons, of (n_rows, n_cols) taxels."""
-        return np.bincount(self.groups, taxels[self._mask], self.n_values).astype(np.float32)
+        return np.bincount(self.groups, taxels[self._mask], self.n_values).astype(
+            np.float32
+        )
 
     def reconstruct(self, taxels: Floats) -> Solved:
         """See `Estimator`; the time is that of the interpolation."""

@@ -30,7 +30,9 @@ class Bpdn:
     measurement, newtons, for a library that bounds the residual in place of weighing it.
     """
 
-    def __init__(self, phi: Phi, basis: Basis, lambda_n: float, sigma_n: float = 0.0) -> None:
+    def __init__(
+        self, phi: Phi, basis: Basis, lambda_n: float, sigma_n: float = 0.0
+    ) -> None:
         self.phi = phi
         self.basis = basis
         self.lambda_n = lambda_n
@@ -39,7 +41,9 @@ class Bpdn:
 
     def forward(self, theta: Any) -> Floats:
         """A theta: shape (n,) to (m,)."""
-        return self.phi.forward(self.basis.synthesis(theta.reshape(self.grid)).reshape(-1))
+        return self.phi.forward(
+            self.basis.synthesis(theta.reshape(self.grid)).reshape(-1)
+        )
 
     def adjoint(self, y: Any) -> Floats:
         """A^T y: shape (m,) to (n,)."""
@@ -86,7 +90,12 @@ def _pylops(problem: Bpdn) -> Solve:
     from pylops.optimization.sparsity import fista
 
     operator = _pylops_operator(problem)
-    settings = {"eps": 2 * problem.lambda_n, "alpha": 1.0, "tol": 0, "preallocate": True}
+    settings = {
+        "eps": 2 * problem.lambda_n,
+        "alpha": 1.0,
+        "tol": 0,
+        "preallocate": True,
+    }
 
     def solve(y: Floats, start: Floats, iterations: int) -> Any:
         return fista(operator, y, x0=start, niter=iterations, **settings)[0]
@@ -123,7 +132,9 @@ def _sigpy(problem: Bpdn) -> Solve:
     def solve(y: Floats, start: Floats, iterations: int) -> Any:
         solver = sigpy.app.LinearLeastSquares
         with np.errstate(invalid="ignore"):  # its soft threshold divides 0 by 0
-            return solver(operator, y, x=start.copy(), max_iter=iterations, **settings).run()
+            return solver(
+                operator, y, x=start.copy(), max_iter=iterations, **settings
+            ).run()
 
     return solve
 
@@ -195,12 +206,17 @@ class TotalVariation:
         proximal = sigpy.prox.L1Reg(differences.oshape, weight)
         self._settings = {"G": differences, "proxg": proximal, "max_iter": iterations}
         self._operator = _sigpy_operator(
-            lambda x: phi.forward(x.reshape(-1)[self._flat]), self._image, mask.shape, (phi.m,)
+            lambda x: phi.forward(x.reshape(-1)[self._flat]),
+            self._image,
+            mask.shape,
+            (phi.m,),
         )
 
     def _image(self, y: Any) -> Floats:
         image = np.zeros(self._mask.shape, dtype=np.float32)
-        image.reshape(-1)[self._flat] = self._phi.adjoint(np.asarray(y, dtype=np.float32))
+        image.reshape(-1)[self._flat] = self._phi.adjoint(
+            np.asarray(y, dtype=np.float32)
+        )
         return image
 
     def reconstruct(self, taxels: Floats) -> Solved:
@@ -216,7 +232,9 @@ class TotalVariation:
         return Solved(forces, wall_s=time.perf_counter() - begin)
 
 
-def _sigpy_operator(forward: Any, adjoint: Any, shape: Sequence[int], out: Sequence[int]) -> Any:
+def _sigpy_operator(
+    forward: Any, adjoint: Any, shape: Sequence[int], out: Sequence[int]
+) -> Any:
     """A linear operator of SigPy."""
     import sigpy
 

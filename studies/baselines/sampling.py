@@ -143,7 +143,11 @@ def classes(mask: Mask, k: int) -> list[Indices]:
     i, j = np.indices(mask.shape)
     number = (i + (1 if min(mask.shape) == 1 else _slope(k)) * j) % k
     # As the golden ratio: of few successive classes, none are neighbours.
-    stride = next(step for step in range(max(1, round(0.382 * k)), k + 1) if math.gcd(step, k) == 1)
+    stride = next(
+        step
+        for step in range(max(1, round(0.382 * k)), k + 1)
+        if math.gcd(step, k) == 1
+    )
     order = [turn * stride % k for turn in range(k)]
     return [np.flatnonzero(mask & (number == turn)) for turn in order]
 
@@ -154,7 +158,12 @@ def _slope(k: int) -> int:
 
     def least(s: int) -> int:
         near = range(-k, k + 1)
-        return min(i * i + j * j for i in near for j in near if (i or j) and (i + s * j) % k == 0)
+        return min(
+            i * i + j * j
+            for i in near
+            for j in near
+            if (i or j) and (i + s * j) % k == 0
+        )
 
     return max(range(k), key=least)
 

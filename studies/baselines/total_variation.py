@@ -67,7 +67,9 @@ class TvSolver(Solver):
         lambda_n: float = 0.005,
     ) -> None:
         super().__init__(phi, basis, mask)
-        self.n_steps = whole_number(self.name, "iterations", iterations, 1, MAX_ITERATIONS)
+        self.n_steps = whole_number(
+            self.name, "iterations", iterations, 1, MAX_ITERATIONS
+        )
         self.lambda_n = newtons(self.name, "lambda_n", lambda_n)
         self._step = np.float32(1 / phi.lipschitz)
         self._lambda_step = np.float32(self.lambda_n / phi.lipschitz)
@@ -87,7 +89,9 @@ class TvSolver(Solver):
         half = np.float32(HALF * self.lambda_n + 1e-30)
         for axis, pairs in enumerate(self._pairs):
             difference = np.abs(np.diff(self._image, axis=axis))
-            self._limits[axis] = self._lambda_step * pairs * (half / (half + difference))
+            self._limits[axis] = (
+                self._lambda_step * pairs * (half / (half + difference))
+            )
         self._steps_left = self.n_steps
 
     def step(self) -> None:
@@ -97,7 +101,9 @@ class TvSolver(Solver):
         u.reshape(-1)[self.taxels] += self._step * self.phi.adjoint(residual)
         for _ in range(DUAL_STEPS):
             image = self._primal(u)
-            for axis, (dual, limit) in enumerate(zip(self._duals, self._limits, strict=True)):
+            for axis, (dual, limit) in enumerate(
+                zip(self._duals, self._limits, strict=True)
+            ):
                 dual += np.float32(DUAL_STEP) * np.diff(image, axis=axis)
                 np.clip(dual, -limit, limit, out=dual)
         self._image = self._primal(u)

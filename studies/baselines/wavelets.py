@@ -72,7 +72,9 @@ def _level_matrix(wavelet: str, n: int) -> Doubles:
     n_paired = n - n % 2
     level: Doubles = np.eye(n)
     if n_paired:
-        parts = pywt.dwt(np.eye(n_paired), _orthogonal(wavelet), mode="periodization", axis=0)
+        parts = pywt.dwt(
+            np.eye(n_paired), _orthogonal(wavelet), mode="periodization", axis=0
+        )
         half = n_paired // 2
         level = np.zeros((n, n))
         level[:half, :n_paired] = parts[0]
@@ -90,7 +92,9 @@ def _orthogonal(name: str) -> pywt.Wavelet:
     # PyWavelets calls some orthogonal whose filters are only nearly so (dmey).
     taps = np.asarray(wavelet.dec_lo)
     if not wavelet.orthogonal or abs(float(taps @ taps) - 1) > 1e-6:
-        raise SolverError(f'basis "{name}": not an orthogonal wavelet (allowed: db*, sym*, coif*)')
+        raise SolverError(
+            f'basis "{name}": not an orthogonal wavelet (allowed: db*, sym*, coif*)'
+        )
     return wavelet
 
 

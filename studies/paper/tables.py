@@ -69,7 +69,9 @@ class FewLevelsHaarBasis(SeparableBasis):
 
     def __init__(self, n_rows: int, n_cols: int) -> None:
         sides = n_rows | n_cols
-        super().__init__(n_rows, n_cols, level_matrix, (sides & -sides).bit_length() - 1)
+        super().__init__(
+            n_rows, n_cols, level_matrix, (sides & -sides).bit_length() - 1
+        )
 
 
 def run(out: Path, quick: bool, seed: int, executor: str) -> list[str]:
@@ -80,7 +82,9 @@ def run(out: Path, quick: bool, seed: int, executor: str) -> list[str]:
     windows = {scene: window(scene, quick) for scene in PAPER}
     points = [{"frames": asdict(frames), "seed": seed} for frames in windows.values()]
     figures = compute(scene_figures, points, out, executor, "scenes")
-    rows = pd.concat(unrefused(experiment.run(out, executor)) for experiment in psnr(windows, seed))
+    rows = pd.concat(
+        unrefused(experiment.run(out, executor)) for experiment in psnr(windows, seed)
+    )
     timed = unrefused(times(quick, seed).run(out, executor))
     keys = zip(rows["scene"], rows["ratio"], rows["method"], strict=True)
     results = Results(
@@ -96,7 +100,10 @@ def run(out: Path, quick: bool, seed: int, executor: str) -> list[str]:
         frame_maps, [{"frames": frames, "seed": seed}], out, executor, "maps"
     )
     maps = {
-        title: (frame, *(maps_of_frames[key][frames.index(frame)] for key in ("maps", "psnr_db")))
+        title: (
+            frame,
+            *(maps_of_frames[key][frames.index(frame)] for key in ("maps", "psnr_db")),
+        )
         for title, frame in frame_of_title.items()
     }
     return write(out, results, lambdas, highest, maps)
@@ -109,13 +116,19 @@ def window(scene: str, quick: bool) -> SceneFrames:
 
 def candidate(basis: str = "haar", **settings: Any) -> Candidate:
     """The paper's method, with some other settings."""
-    return Candidate({**PRESETS["paper"], "basis": basis, **settings}, changes={"rows": PAPER_ROWS})
+    return Candidate(
+        {**PRESETS["paper"], "basis": basis, **settings}, changes={"rows": PAPER_ROWS}
+    )
 
 
 def psnr(windows: Mapping[str, SceneFrames], seed: int) -> Iterator[Experiment]:
     """PSNR of each frame by M with 30 iterations, and at N/3 by iterations."""
     for side in LEVELS:
-        frames = [window for scene, window in windows.items() if scene_of(scene).shape[0] == side]
+        frames = [
+            window
+            for scene, window in windows.items()
+            if scene_of(scene).shape[0] == side
+        ]
         # On sides of a power of two both bases are the same, and the project's own is quick.
         basis = FEW_LEVELS if side == 40 else "haar"
         by_m = {"30": candidate(), FITTED: candidate(basis, lambda_n=FITTED_LAMBDA_N)}
@@ -141,11 +154,17 @@ def untouched(
     lambdas = LAMBDAS_N[::2] if quick else LAMBDAS_N
     measurements = [Measurement(ratio) for ratio in RATIOS]
     highest = {}
-    for side, few, basis in ((40, False, "haar"), (40, True, FEW_LEVELS), (64, True, "haar")):
+    for side, few, basis in (
+        (40, False, "haar"),
+        (40, True, FEW_LEVELS),
+        (64, True, "haar"),
+    ):
         by_lambda = {f"{x:g}": candidate(basis, lambda_n=x) for x in lambdas}
         frames = [UntouchedFrames(side, 60 if quick else 500)]
         label = f"untouched skin, {side}, {'few' if few else 'all'} levels"
-        experiment = Experiment(label, frames, measurements, by_lambda, ("highest_db",), (seed,))
+        experiment = Experiment(
+            label, frames, measurements, by_lambda, ("highest_db",), (seed,)
+        )
         for ratio, of_ratio in unrefused(experiment.run(out, executor)).groupby(
             "ratio", sort=False
         ):
@@ -189,7 +208,9 @@ def frame_maps(point: Row) -> Row:
     every = SceneFrames(MAPPED, None)
     contact, _ = next(SceneFrames(MAPPED, 0).windows(point["seed"]))
     begin = max(0, numbers[0] - BEFORE_MAPS)
-    take = SceneFrames(MAPPED, begin - contact, numbers[-1] + 1 - contact).open(point["seed"])
+    take = SceneFrames(MAPPED, begin - contact, numbers[-1] + 1 - contact).open(
+        point["seed"]
+    )
     method = candidate(iterations=20).make(Measurement(3), every.open(0), point["seed"])
     maps = []
     psnr = []
@@ -206,15 +227,27 @@ def write(
     out: Path, results: Results, lambdas: tuple[float, ...], highest: Highest, maps: Any
 ) -> list[str]:
     """Write tables, charts and the page; `highest` in the order of `lambdas`, in newtons."""
-    page = Page(out, "paper-tables", Path(__file__).with_name("notes.md"), results.quick)
+    page = Page(
+        out, "paper-tables", Path(__file__).with_name("notes.md"), results.quick
+    )
     page.section("")
     by_m, by_k = (draw_sequences(out, results, by) for by in ("M", "iterations"))
     for title, name, rows, charts in (
         ("Table I: steps", "table_1", map(results.steps, PAPER), ()),
         ("Table II: coefficients that are not zero", "table_2", table_2(results), ()),
         ("The noisy signal, of tables III and IV", "noisy", noisy(results), ()),
-        ("Table III: PSNR by M, 30 iterations", "table_3", table_3(results, "30"), (by_m,)),
-        ("Table IV: iterations and time, M = N/3", "table_4", table_4(results), (by_k,)),
+        (
+            "Table III: PSNR by M, 30 iterations",
+            "table_3",
+            table_3(results, "30"),
+            (by_m,),
+        ),
+        (
+            "Table IV: iterations and time, M = N/3",
+            "table_4",
+            table_4(results),
+            (by_k,),
+        ),
         (
             "Table III once more: lambda = 0.009 N and few levels",
             *("table_3_fitted", table_3(results, FITTED), ()),
@@ -248,7 +281,9 @@ def conclusion(results: Results) -> list[str]:
             f"{min(off):+.1f} to {max(off):+.1f} dB, over {len(off)} figures."
         )
     slowest, fastest = results.speedups
-    lines.append(f"A frame takes {slowest:.0f} to {fastest:.0f} times less time than in table IV.")
+    lines.append(
+        f"A frame takes {slowest:.0f} to {fastest:.0f} times less time than in table IV."
+    )
     return lines
 
 
@@ -280,7 +315,12 @@ def compared(what: str, paper: float, ours: float) -> Row:
 
 
 def psnr_row(
-    results: Results, scene: str, paper: Psnr, ratio: int, method: str = "30", **named: Any
+    results: Results,
+    scene: str,
+    paper: Psnr,
+    ratio: int,
+    method: str = "30",
+    **named: Any,
 ) -> Row:
     """PSNR of our frames from M = N / ratio beside the paper's; ratio 1: of the noisy signal."""
     values = results.ours(scene, ratio, method)
@@ -312,7 +352,11 @@ def table_4(results: Results) -> Iterator[Row]:
         for k in ITERATIONS:
             ours_ms = results.times_ms[scene, str(k)]
             times = {
-                **{"iterations": k, "time paper ms": paper.time_ms[k], "ours ms": f"{ours_ms:.2f}"},
+                **{
+                    "iterations": k,
+                    "time paper ms": paper.time_ms[k],
+                    "ours ms": f"{ours_ms:.2f}",
+                },
                 "times faster": f"{paper.time_ms[k] / ours_ms:.0f}",
             }
             yield psnr_row(results, scene, paper.by_iterations[k], 3, str(k), **times)
@@ -322,7 +366,10 @@ def lambda_rows(lambdas: tuple[float, ...], highest: Highest) -> Iterator[Row]:
     """Highest PSNR of an untouched skin, and in brackets the upper ends of table III."""
     deviations = deviations_db(highest)
     for k, lambda_n in enumerate(lambdas):
-        row: Row = {"lambda N": f"{lambda_n:.6g}", "few levels, off by dB": f"{deviations[k]:.1f}"}
+        row: Row = {
+            "lambda N": f"{lambda_n:.6g}",
+            "few levels, off by dB": f"{deviations[k]:.1f}",
+        }
         for (side, few, ratio), values in highest.items():
             levels = "few" if few and side == 40 else "all"
             end_db = np.mean(upper_ends(side, ratio))

@@ -32,7 +32,12 @@ def points(quick: bool, seed: int) -> list[dict[str, Any]]:
     common = {"preset": "skin", "depth": 0, "iterations": STEPS, "seed": seed}
     common |= {"slices": SLICES, "seconds": SECONDS}
     return [
-        {**common, "scene": latency.SCENES[size], "rate_hz": rate_hz, "monitor": monitor}
+        {
+            **common,
+            "scene": latency.SCENES[size],
+            "rate_hz": rate_hz,
+            "monitor": monitor,
+        }
         for monitor, size, rate_hz in product((False, True), sizes, rates_hz)
     ]
 
@@ -52,7 +57,10 @@ def measure(point: dict[str, Any]) -> dict[str, Any]:
         ours = of_graph(latency.run_graph({**point, "n_frames": n_frames}), n_frames)
         lean = of_lean(run_lean({**point, "n_frames": n_frames}))
         slices.append(together(ours, lean))
-    return {name: round(float(np.median([s[name] for s in slices])), 4) for name in slices[0]}
+    return {
+        name: round(float(np.median([s[name] for s in slices])), 4)
+        for name in slices[0]
+    }
 
 
 def together(ours: dict[str, float], lean: dict[str, float]) -> dict[str, float]:
@@ -61,7 +69,10 @@ def together(ours: dict[str, float], lean: dict[str, float]) -> dict[str, float]
     figures |= {f"lean {name}": value for name, value in lean.items()}
     of_nodes = [f"{node}_us" for node in NODES]
     ours_us, lean_us = (sum(each[name] for name in of_nodes) for each in (ours, lean))
-    ratios = {"cpu ratio": ours_us / lean_us, "p50 ratio": ours["p50_ms"] / lean["p50_ms"]}
+    ratios = {
+        "cpu ratio": ours_us / lean_us,
+        "p50 ratio": ours["p50_ms"] / lean["p50_ms"],
+    }
     return figures | ratios
 
 
@@ -96,4 +107,7 @@ def per_frame_us(processor_ns: npt.NDArray[np.int64]) -> float:
 def ages_ms(ages_ns: npt.NDArray[np.int64]) -> dict[str, float]:
     """Quantiles of the age of frames, ms, by the age of each in ns."""
     counted = ages_ns[round(WARM_UP * len(ages_ns)) :] / 1e6
-    return {"p50_ms": float(np.quantile(counted, 0.5)), "p99_ms": float(np.quantile(counted, 0.99))}
+    return {
+        "p50_ms": float(np.quantile(counted, 0.5)),
+        "p99_ms": float(np.quantile(counted, 0.99)),
+    }

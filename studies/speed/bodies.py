@@ -31,7 +31,11 @@ def time_body(point: dict[str, Any]) -> dict[str, Any]:
     """
     patches, side, n_frames = (point[key] for key in ("patches", "side", "n_frames"))
     common = {"patch": "body", "patches": [f"p{k}" for k in range(patches)]}
-    source = {"source": "scene:lying", "active": 1.0 - point["idle"], "seed": point["seed"]}
+    source = {
+        "source": "scene:lying",
+        "active": 1.0 - point["idle"],
+        "seed": point["seed"],
+    }
     shape = {"simulated": {"n_rows": side, "n_cols": side}, "rate_hz": 100.0}
     sensor = made_node("sensor", {**common, **source, **shape})
     edge = made_node("compressor", common)

@@ -32,7 +32,12 @@ STAGES = (
 WARM_UP = 500
 """First frames of the sensor, left out: new processes start with cold caches and memory."""
 QUANTILES = {"p50": 0.5, "p99": 0.99, "p99.9": 0.999}
-GRAPHS = (("skin", 0, False), ("skin", 0, True), ("skin", 1, False), ("paper", 0, False))
+GRAPHS = (
+    ("skin", 0, False),
+    ("skin", 0, True),
+    ("skin", 1, False),
+    ("paper", 0, False),
+)
 """Preset, depth, and whether contacts are published."""
 _NODES = "sparseskin.studies.speed.stopwatch:Timed"
 
@@ -42,10 +47,20 @@ def points(quick: bool, seed: int) -> list[dict[str, Any]]:
     reconstructs the newest frames alone too, and the paper's.
     """
     n_frames = 3000 if quick else 12_000
-    common = {"rate_hz": RATE_HZ, "n_frames": n_frames, "warm_up": WARM_UP, "seed": seed}
+    common = {
+        "rate_hz": RATE_HZ,
+        "n_frames": n_frames,
+        "warm_up": WARM_UP,
+        "seed": seed,
+    }
     names = ("preset", "depth", "contacts")
     return [
-        {**common, "monitor": monitor, **dict(zip(names, graph, strict=True)), "scene": scene}
+        {
+            **common,
+            "monitor": monitor,
+            **dict(zip(names, graph, strict=True)),
+            "scene": scene,
+        }
         for monitor, graph, scene in product((False, True), GRAPHS, SCENES.values())
     ]
 
@@ -65,11 +80,17 @@ def measure(point: dict[str, Any]) -> dict[str, Any]:
     sensor, edge, host = (np.array(times, dtype=np.int64) for times in timed)
     stages = stages_ns(sensor[point["warm_up"] :], edge, host)
     if not len(stages):
-        raise StudyError(f"no frame after the first {point['warm_up']} was reconstructed")
+        raise StudyError(
+            f"no frame after the first {point['warm_up']} was reconstructed"
+        )
     skipped = sum(nodes["reconstructor"]["skipped"].values())
     return {
         **figures(stages / 1e6),
-        **{"frames": len(stages), "skipped": skipped, "lost": len(sensor) - len(host) - skipped},
+        **{
+            "frames": len(stages),
+            "skipped": skipped,
+            "lost": len(sensor) - len(host) - skipped,
+        },
         "others": round(others_s / (time.monotonic() - began_s), 2),
     }
 
@@ -85,7 +106,11 @@ def run_graph(point: dict[str, Any]) -> dict[str, dict[str, Any]]:
     names: tuple[str, ...] = ("preset", "depth", "contacts", "iterations")
     solver = {name: point[name] for name in names if name in point}
     nodes: dict[str, dict[str, Any]] = {
-        "sensor": {"type": f"{_NODES}Sensor", "source": source, "rate_hz": point["rate_hz"]},
+        "sensor": {
+            "type": f"{_NODES}Sensor",
+            "source": source,
+            "rate_hz": point["rate_hz"],
+        },
         "compressor": {"type": f"{_NODES}Compressor", "rows": FIXED},
         "reconstructor": {"type": f"{_NODES}Reconstructor", **solver},
     }
@@ -94,16 +119,21 @@ def run_graph(point: dict[str, Any]) -> dict[str, dict[str, Any]]:
     for name, process in point.get("processes", {}).items():
         nodes[name]["process"] = process
     text = f"[graph]\npriority = {point.get('priority', 0)}\n" + "".join(
-        f"[nodes.{name}]\n" + "".join(f"{k} = {json.dumps(v)}\n" for k, v in settings.items())
+        f"[nodes.{name}]\n"
+        + "".join(f"{k} = {json.dumps(v)}\n" for k, v in settings.items())
         for name, settings in nodes.items()
     )
     with tempfile.TemporaryDirectory(prefix="sparseskin-speed-") as folder:
         Path(folder, "graph.toml").write_text(text)
         command = [sys.executable, "-m", "sparseskin", "launch", "graph.toml"]
         command += ["--frames", str(point["n_frames"]), "--summary", "summary.json"]
-        done = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
+        done = subprocess.run(
+            command, cwd=folder, capture_output=True, text=True, check=False
+        )
         if done.returncode:
-            raise StudyError(f"the graph ended with {done.returncode}: {done.stderr[-500:]}")
+            raise StudyError(
+                f"the graph ended with {done.returncode}: {done.stderr[-500:]}"
+            )
         reports: dict[str, dict[str, Any]]
         reports = json.loads(Path(folder, "summary.json").read_text())["nodes"]
     return reports
@@ -127,12 +157,19 @@ def stages_ns(sensor: Times, edge: Times, host: Times) -> Times:
     called, was done, the result was sent. Returns rows of the frames that were reconstructed.
     """
     common = np.intersect1d(np.intersect1d(sensor[:, 0], edge[:, 0]), host[:, 0])
-    s, e, h = (times[np.searchsorted(times[:, 0], common)] for times in (sensor, edge, host))
+    s, e, h = (
+        times[np.searchsorted(times[:, 0], common)] for times in (sensor, edge, host)
+    )
     edge_queue = _waited(e, sent=s[:, 1], came=e[:, 1], free=e[:, 2])
     host_queue = _waited(h, sent=e[:, 2], came=h[:, 1], free=h[:, 4])
     columns = [
         *(s[:, 1], e[:, 1] - s[:, 1] - edge_queue, edge_queue, e[:, 2] - e[:, 1]),
-        *(h[:, 1] - e[:, 2] - host_queue, host_queue, h[:, 2] - h[:, 1], h[:, 3] - h[:, 2]),
+        *(
+            h[:, 1] - e[:, 2] - host_queue,
+            host_queue,
+            h[:, 2] - h[:, 1],
+            h[:, 3] - h[:, 2],
+        ),
     ]
     return np.stack(columns, axis=1)
 
@@ -153,7 +190,10 @@ def figures(stages_ms: npt.NDArray[np.float64]) -> dict[str, float]:
     n = len(order)
     found: dict[str, float] = {}
     for name, quantile in QUANTILES.items():
-        centre, half = round(quantile * (n - 1)), max(1, round(min(0.05, 1 - quantile) / 2 * n))
+        centre, half = (
+            round(quantile * (n - 1)),
+            max(1, round(min(0.05, 1 - quantile) / 2 * n)),
+        )
         around = order[max(0, centre - half) : centre + half + 1]
         found[f"{name}_ms"] = round(float(np.quantile(total, quantile)), 4)
         means = zip(STAGES, stages_ms[around].mean(axis=0), strict=True)

@@ -58,19 +58,28 @@ def run_lean(point: dict[str, Any]) -> dict[str, Any]:
     `point`: scene, rate_hz, n_frames, iterations. Raises StudyError if a node fails.
     """
     with tempfile.TemporaryDirectory(prefix="sparseskin-lean-") as folder:
-        command = [sys.executable, "-m", __name__, json.dumps({**point, "folder": folder})]
+        command = [
+            sys.executable,
+            "-m",
+            __name__,
+            json.dumps({**point, "folder": folder}),
+        ]
         started = {
             node: subprocess.Popen([*command, node], stdout=subprocess.PIPE, text=True)
             for node in NODES
         }
         try:
-            texts = {node: process.communicate()[0] for node, process in started.items()}
+            texts = {
+                node: process.communicate()[0] for node, process in started.items()
+            }
         finally:
             for process in started.values():
                 process.kill()
     if failed := [node for node, process in started.items() if process.returncode]:
         raise StudyError(f"lean nodes: {failed[0]} failed")
-    return {node: np.array(json.loads(text), dtype=np.int64) for node, text in texts.items()}
+    return {
+        node: np.array(json.loads(text), dtype=np.int64) for node, text in texts.items()
+    }
 
 
 def main() -> None:
@@ -87,7 +96,9 @@ def main() -> None:
     print(json.dumps(notes))
 
 
-def _links(context: zmq.Context[Any], folder: str, node: str) -> list[zmq.Socket[bytes]]:
+def _links(
+    context: zmq.Context[Any], folder: str, node: str
+) -> list[zmq.Socket[bytes]]:
     """Sockets of a node: the one that it reads, and the one that it writes."""
     k = NODES.index(node)
     links = []
@@ -111,7 +122,10 @@ def _links(context: zmq.Context[Any], folder: str, node: str) -> list[zmq.Socket
 
 
 def _sensor(
-    point: dict[str, Any], writer: zmq.Socket[bytes], begin: zmq.Socket[bytes], notes: Notes
+    point: dict[str, Any],
+    writer: zmq.Socket[bytes],
+    begin: zmq.Socket[bytes],
+    notes: Notes,
 ) -> None:
     source = _source(point)
     writer.send(GO)
@@ -131,7 +145,10 @@ def _sensor(
 
 
 def _edge(
-    point: dict[str, Any], reader: zmq.Socket[bytes], writer: zmq.Socket[bytes], notes: Notes
+    point: dict[str, Any],
+    reader: zmq.Socket[bytes],
+    writer: zmq.Socket[bytes],
+    notes: Notes,
 ) -> None:
     phi = _phi(_source(point))
     writer.send(reader.recv())
@@ -143,7 +160,10 @@ def _edge(
 
 
 def _host(
-    point: dict[str, Any], reader: zmq.Socket[bytes], begin: zmq.Socket[bytes], notes: Notes
+    point: dict[str, Any],
+    reader: zmq.Socket[bytes],
+    begin: zmq.Socket[bytes],
+    notes: Notes,
 ) -> None:
     source = _source(point)
     phi, skin = _phi(source), source.skin

@@ -81,7 +81,9 @@ def measure(point: dict[str, Any]) -> dict[str, Any]:
             figures[kind] = _figures(latency.run_graph(graph), of_nodes)
         slices.append(with_ratios(figures))
     names = slices[0]
-    return {name: round(float(np.median([s[name] for s in slices])), 4) for name in names}
+    return {
+        name: round(float(np.median([s[name] for s in slices])), 4) for name in names
+    }
 
 
 def with_ratios(figures: dict[str, dict[str, float]]) -> dict[str, float]:
@@ -94,7 +96,9 @@ def with_ratios(figures: dict[str, dict[str, float]]) -> dict[str, float]:
     return flat
 
 
-def _figures(reports: dict[str, dict[str, Any]], processes: dict[str, str]) -> dict[str, float]:
+def _figures(
+    reports: dict[str, dict[str, Any]], processes: dict[str, str]
+) -> dict[str, float]:
     """Figures of one run by its reports; each process is counted once, by its last node."""
     last = {processes.get(node, node): node for node in reports}
     used_ns = 0

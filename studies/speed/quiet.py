@@ -57,7 +57,11 @@ def time_quiet(point: dict[str, Any]) -> dict[str, Any]:
         sigma_mid=noise.sigma_mid,
         sigma_end=noise.sigma_end,
     )
-    way = _Delta(state, names) if point["way"] == "delta" else _Nodes(state, names, point["way"])
+    way = (
+        _Delta(state, names)
+        if point["way"] == "delta"
+        else _Nodes(state, names, point["way"])
+    )
 
     squares = list[float]()
     n_bytes = 0
@@ -65,7 +69,9 @@ def time_quiet(point: dict[str, Any]) -> dict[str, Any]:
         truth = _truth(len(names), side, k)
         forces = noise.apply(truth, rng)
         stamp_ns = (k + 1) * PERIOD_NS
-        message = Taxels(stamp_ns=stamp_ns, patch="body", names=tuple(names), forces=forces)
+        message = Taxels(
+            stamp_ns=stamp_ns, patch="body", names=tuple(names), forces=forces
+        )
         sent = way.frame(message)
         if k >= WARM_UP:
             n_bytes += sent
@@ -126,7 +132,9 @@ class _Delta:
         self._noise = NoiseModel(state.f_max, state.sigma_mid, state.sigma_end)
         n_taxels = state.n_rows * state.n_cols
         self._z = -NormalDist().inv_cdf(FALSE_SENDS / 2 / n_taxels) * np.sqrt(2)
-        self.forces = np.zeros((len(names), state.n_rows, state.n_cols), dtype=np.float32)
+        self.forces = np.zeros(
+            (len(names), state.n_rows, state.n_cols), dtype=np.float32
+        )
         self.edge_s: list[float] = []
         self.host_s: list[float] = []
         self.before_s = 0.0

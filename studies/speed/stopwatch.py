@@ -38,9 +38,14 @@ class _Timed(Node[Any]):
         for message in step(what):
             yield message  # it has been sent when the runner asks for the next one
             if isinstance(message, timed):
-                times_ns = (*self._inside(message, came_ns), self.context.clock.now_ns())
+                times_ns = (
+                    *self._inside(message, came_ns),
+                    self.context.clock.now_ns(),
+                )
                 stamp_ns = message.stamp_ns
-                self._notes.append([stamp_ns, *(time_ns - stamp_ns for time_ns in times_ns)])
+                self._notes.append(
+                    [stamp_ns, *(time_ns - stamp_ns for time_ns in times_ns)]
+                )
                 self._processor_ns.append(time.process_time_ns())
 
     def _inside(self, message: Any, came_ns: int) -> tuple[int, ...]:

@@ -63,21 +63,37 @@ def solvers(page: Page, quick: bool, seed: int) -> list[str]:
     """Whole frames of both presets, in numpy and in compiled loops."""
     sides = QUICK_SIDES if quick else SIDES
     n_frames = 100 if quick else 400
-    frames = [PressFrames("plate", (side, side), n_frames, speed=0.02) for side in sides]
+    frames = [
+        PressFrames("plate", (side, side), n_frames, speed=0.02) for side in sides
+    ]
     forms = {"numpy": "off"} | ({"compiled": "on"} if find_spec("numba") else {})
     candidates = {
-        f"{preset}, {form}": Candidate({**PRESETS[preset], "fast": fast}, changes={"rows": rows})
+        f"{preset}, {form}": Candidate(
+            {**PRESETS[preset], "fast": fast}, changes={"rows": rows}
+        )
         for preset, rows in (("paper", PAPER_ROWS), ("skin", FIXED))
         for form, fast in forms.items()
     }
     scores = ("median_ms", "p99_ms", "iterations", "mean_db")
-    timed = Experiment("solvers", frames, [Measurement()], candidates, scores, (seed,), timed=True)
+    timed = Experiment(
+        "solvers", frames, [Measurement()], candidates, scores, (seed,), timed=True
+    )
     rows = unrefused(timed.run(page.out, TIMED_ON))
     rows.insert(0, "n", [side * side for side, _ in rows["shape"]])
     page.csv("solvers", rows)
     shown = rows[["n", "method", *scores]].assign(hz=1000 / rows["median_ms"])
-    names = {"n": "N", "median_ms": "median ms", "p99_ms": "p99 ms", "hz": "frames a second"}
-    formats = {"median ms": ".3f", "p99 ms": ".3f", "iterations": ".1f", "mean dB": ".1f"}
+    names = {
+        "n": "N",
+        "median_ms": "median ms",
+        "p99_ms": "p99 ms",
+        "hz": "frames a second",
+    }
+    formats = {
+        "median ms": ".3f",
+        "p99 ms": ".3f",
+        "iterations": ".1f",
+        "mean dB": ".1f",
+    }
     shown = shown.rename(columns=names | {"mean_db": "mean dB"})
     page.section("Solvers", markdown(shown, formats | {"frames a second": ".0f"}))
     last = rows[(rows["n"] == rows["n"].max()) & rows["method"].str.startswith("skin")]
@@ -161,14 +177,25 @@ def quiet_body(page: Page, quick: bool, seed: int) -> str:
 def stages(page: Page, quick: bool, seed: int) -> list[str]:
     """Age of a frame when it is reconstructed, by stage, in real graphs."""
     points = latency.points(quick, seed)
-    rows = pd.DataFrame(compute_rows(latency.measure, points, page.out, "serial", "latency"))
+    rows = pd.DataFrame(
+        compute_rows(latency.measure, points, page.out, "serial", "latency")
+    )
     sizes = {scene: size for size, scene in latency.SCENES.items()}
     rows["skin"] = rows["scene"].map(sizes)
     rows["reconstructed"] = np.where(rows["depth"] > 0, "newest", "all")
     for name in ("monitor", "contacts"):
         rows[name] = np.where(rows[name], "yes", "no")
     page.csv("latency", rows)
-    names = ["skin", "preset", "reconstructed", "contacts", "monitor", "frames", "skipped", "lost"]
+    names = [
+        "skin",
+        "preset",
+        "reconstructed",
+        "contacts",
+        "monitor",
+        "frames",
+        "skipped",
+        "lost",
+    ]
     headings = {f"{name}_ms": f"{name} ms" for name in latency.QUANTILES}
     headings |= {f"p50 {stage}": stage for stage in latency.STAGES}
     formats = {f"{name} ms": ".2f" for name in latency.QUANTILES}
@@ -184,16 +211,26 @@ def stages(page: Page, quick: bool, seed: int) -> list[str]:
         markdown(rows[[*names, *headings]].rename(columns=headings), formats),
         warm_up=latency.WARM_UP,
     )
-    alone = rows[(rows["preset"] == "skin") & (rows["depth"] == 0) & (rows["monitor"] == "no")]
-    alone = alone.assign(with_=np.where(alone["contacts"] == "yes", ", with contacts", ""))
-    text = "All frames of {skin} taxels at 1 kHz{with_}: half of them are reconstructed "
-    return cells(alone, text + "{p50_ms:.2f} ms after acquisition, 99 % within {p99_ms:.2f} ms.")
+    alone = rows[
+        (rows["preset"] == "skin") & (rows["depth"] == 0) & (rows["monitor"] == "no")
+    ]
+    alone = alone.assign(
+        with_=np.where(alone["contacts"] == "yes", ", with contacts", "")
+    )
+    text = (
+        "All frames of {skin} taxels at 1 kHz{with_}: half of them are reconstructed "
+    )
+    return cells(
+        alone, text + "{p50_ms:.2f} ms after acquisition, 99 % within {p99_ms:.2f} ms."
+    )
 
 
 def beside_lean(page: Page, quick: bool, seed: int) -> list[str]:
     """Processor time and age of a frame in the shipped nodes and in lean ones, in turn."""
     points = beside.points(quick, seed)
-    rows = pd.DataFrame(compute_rows(beside.measure, points, page.out, "serial", "beside"))
+    rows = pd.DataFrame(
+        compute_rows(beside.measure, points, page.out, "serial", "beside")
+    )
     sizes = {scene: size for size, scene in latency.SCENES.items()}
     rows["skin"] = rows["scene"].map(sizes)
     rows["monitor"] = np.where(rows["monitor"], "yes", "no")
@@ -231,7 +268,9 @@ def beside_lean(page: Page, quick: bool, seed: int) -> list[str]:
 def shared_processes(page: Page, quick: bool, seed: int) -> list[str]:
     """Processor time and age of a frame with the nodes in four processes, and in fewer, in turn."""
     points = processes.points(quick, seed)
-    rows = pd.DataFrame(compute_rows(processes.measure, points, page.out, "serial", "processes"))
+    rows = pd.DataFrame(
+        compute_rows(processes.measure, points, page.out, "serial", "processes")
+    )
     page.csv("processes", rows)
     tables = [
         pd.DataFrame(
@@ -241,8 +280,13 @@ def shared_processes(page: Page, quick: bool, seed: int) -> list[str]:
                 "reached, Hz": rows[f"{kind} hz"],
                 "skipped": rows[f"{kind} skipped"],
                 "processor time, us": rows[f"{kind} cpu_us"],
-                "p50, p99, ms": cells(rows, f"{{{kind} p50_ms:.2f}}, {{{kind} p99_ms:.2f}}"),
-                **{f"{name} / four": rows[f"{kind} {name} ratio"] for name in processes.RATIOS},
+                "p50, p99, ms": cells(
+                    rows, f"{{{kind} p50_ms:.2f}}, {{{kind} p99_ms:.2f}}"
+                ),
+                **{
+                    f"{name} / four": rows[f"{kind} {name} ratio"]
+                    for name in processes.RATIOS
+                },
             }
         )
         for kind in processes.PROCESSES
@@ -258,7 +302,9 @@ def shared_processes(page: Page, quick: bool, seed: int) -> list[str]:
         steps=processes.STEPS,
         warm_up=f"{beside.WARM_UP:.0%}",
     )
-    text = (
-        "Edge and host in a process each at {rate_hz} Hz: {two cpu ratio:.2f} times the processor "
+    text = "Edge and host in a process each at {rate_hz} Hz: "
+    text += "{two cpu ratio:.2f} times the processor "
+    return cells(
+        rows,
+        text + "time of four processes, {two p50 ratio:.2f} times their median age.",
     )
-    return cells(rows, text + "time of four processes, {two p50 ratio:.2f} times their median age.")

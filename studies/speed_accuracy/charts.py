@@ -56,10 +56,19 @@ CAPTION = (
 _BLACK = PALETTE[-1]
 #: Column, heading and format of the tables of rows.
 _SHOWN = (
-    *(("panel", "scenes", ""), ("label", "solver", ""), ("phi", "Phi", ""), ("ratio", "N/M", "g")),
+    *(
+        ("panel", "scenes", ""),
+        ("label", "solver", ""),
+        ("phi", "Phi", ""),
+        ("ratio", "N/M", "g"),
+    ),
     *(("iterations", "iterations", ".3g"), ("mean_db", "mean dB", ".1f")),
     *(("min_db", "worst dB", ".1f"), ("touched_mn", "touched mN", ".1f")),
-    *(("median_ms", "median ms", ".3f"), ("p99_ms", "p99 ms", ".3f"), ("n_bytes", "bytes", "")),
+    *(
+        ("median_ms", "median ms", ".3f"),
+        ("p99_ms", "p99 ms", ".3f"),
+        ("n_bytes", "bytes", ""),
+    ),
 )
 
 
@@ -85,7 +94,8 @@ def zones(rows: pd.DataFrame) -> pd.DataFrame:
         dead_zone_n=lambda f: f["method"].astype(float)
     )
     sizes = [
-        n_bytes(int(panel.removeprefix("N = ")), 1.0, "", "") for panel in full_readings["panel"]
+        n_bytes(int(panel.removeprefix("N = ")), 1.0, "", "")
+        for panel in full_readings["panel"]
     ]
     return full_readings.assign(n_bytes=sizes)
 
@@ -144,8 +154,14 @@ def write(
     all_rows = pd.concat([timed, every, of_parts])
     refused = cells(all_rows[all_rows["refused"] != ""], "- {method}, {phi}: {refused}")
     if refused:
-        pages.section("Combinations that are refused", "\n".join(dict.fromkeys(refused)))
-    for name, frame in (("times", timed), ("solvers", every), ("bases_and_phis", of_parts)):
+        pages.section(
+            "Combinations that are refused", "\n".join(dict.fromkeys(refused))
+        )
+    for name, frame in (
+        ("times", timed),
+        ("solvers", every),
+        ("bases_and_phis", of_parts),
+    ):
         pages.csv(name, frame)
     lines = conclusion(by_panel, read)
     pages.write(lines)
@@ -161,7 +177,9 @@ def conclusion(by_panel: dict[Any, pd.DataFrame], read: pd.DataFrame) -> list[st
         rows = rows[rows["ratio"] == CENTRE_RATIO].set_index("label")
         raw, _ = raw_and_zoned(read, panel)
         figures = ", ".join(
-            f"*{label}* {rows.loc[label, 'mean_db']:.1f}" for label in FOCUS if label in rows.index
+            f"*{label}* {rows.loc[label, 'mean_db']:.1f}"
+            for label in FOCUS
+            if label in rows.index
         )
         lines.append(
             f"{panel}, M = N/{CENTRE_RATIO}, mean PSNR of contact frames in dB: {figures}; all "
@@ -179,10 +197,19 @@ def _table(rows: pd.DataFrame) -> str:
 
 def _times(rows: pd.DataFrame) -> str:
     """Table of the points of the chart, the slowest last."""
-    names = {"panel": "scenes", "label": "solver or library", "iterations": "iterations"}
+    names = {
+        "panel": "scenes",
+        "label": "solver or library",
+        "iterations": "iterations",
+    }
     names |= {"mean_db": "mean dB", "min_db": "worst dB", "median_ms": "median ms"}
     ordered = rows.sort_values(["panel", "median_ms"], kind="stable")
-    formats = {"iterations": ".3g", "mean dB": ".1f", "worst dB": ".1f", "median ms": ".3f"}
+    formats = {
+        "iterations": ".3g",
+        "mean dB": ".1f",
+        "worst dB": ".1f",
+        "median ms": ".3f",
+    }
     return markdown(ordered[list(names)].rename(columns=names), formats)
 
 
@@ -199,14 +226,22 @@ def _draw(out: Path, by_panel: dict[Any, pd.DataFrame], read: pd.DataFrame) -> s
     n = len(by_panel)
     size_in = (3.6 * n + 1.5, 3.1 * len(MEASURES) + 1.2)
     with Chart(
-        out, "bytes_pooled", CAPTION, len(MEASURES) * n, n, size_in=size_in, legend_columns=3
+        out,
+        "bytes_pooled",
+        CAPTION,
+        len(MEASURES) * n,
+        n,
+        size_in=size_in,
+        legend_columns=3,
     ) as chart:
         for k, (y, panel) in enumerate(product(MEASURES, by_panel)):
             axes = chart.panels[k]
             _draw_panel(axes, by_panel[panel], raw_and_zoned(read, panel), y)
             axes.set_title(panel)
             axes.set_ylabel("" if k % n else f"{MEASURES[y]}, contact")
-            axes.set_xlabel("bytes sent per frame" if k >= (len(MEASURES) - 1) * n else "")
+            axes.set_xlabel(
+                "bytes sent per frame" if k >= (len(MEASURES) - 1) * n else ""
+            )
     return chart.markdown
 
 
@@ -216,7 +251,9 @@ def _draw_panel(axes: Axes, rows: pd.DataFrame, reading: Any, y: str) -> None:
     for label in sorted(rows["label"].unique(), key=lambda label: label in FOCUS):
         along = lines[lines["label"] == label]
         axes.plot(along["n_bytes"], along[y], **_focused(label))
-    for sent, text, line in zip(reading, ("noisy", "best dead zone"), ("--", ":"), strict=True):
+    for sent, text, line in zip(
+        reading, ("noisy", "best dead zone"), ("--", ":"), strict=True
+    ):
         label = f"all taxels sent, {text}"
         axes.axhline(sent[y], color=_BLACK, linestyle=line, linewidth=1.2, label=label)
         axes.plot(sent["n_bytes"], sent[y], color=_BLACK, marker=MARKERS[-1])
@@ -230,6 +267,11 @@ def _draw_panel(axes: Axes, rows: pd.DataFrame, reading: Any, y: str) -> None:
 def _focused(label: str) -> dict[str, Any]:
     """Style of a series in the chart of bytes, its label included."""
     if label not in FOCUS:
-        return {"color": "0.75", "linewidth": 0.9, "zorder": 1, "label": "other solvers"}
+        return {
+            "color": "0.75",
+            "linewidth": 0.9,
+            "zorder": 1,
+            "label": "other solvers",
+        }
     style = series_style(FOCUS[label])
     return style | {"linewidth": 2.0, "markersize": 6, "zorder": 3, "label": label}

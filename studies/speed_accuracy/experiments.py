@@ -30,7 +30,13 @@ from sparseskin.studies.baselines.libraries import PEERS
 from sparseskin.studies.baselines.wavelets import BASES
 from sparseskin.studies.evaluate import SUM_SOLVERS, VARIATION
 from sparseskin.studies.frames import SceneFrames, scene_of
-from sparseskin.studies.harness import LARGER, PAPER_ROWS, Candidate, Experiment, Measurement
+from sparseskin.studies.harness import (
+    LARGER,
+    PAPER_ROWS,
+    Candidate,
+    Experiment,
+    Measurement,
+)
 
 QUICK_SCENES = ("drag_wrench_40", "lift_box_64")
 RATIOS = (2, 3, 4, 8, 16)
@@ -39,7 +45,9 @@ PARTS_RATIOS = (3, 4, 8)
 CENTRE_RATIO = 3
 #: Every Phi but those that no solver of sums inverts.
 SUM_KINDS = tuple(
-    kind for kind in KINDS if not phi_fact(phi_class(kind), "choice") and kind != "row_local"
+    kind
+    for kind in KINDS
+    if not phi_fact(phi_class(kind), "choice") and kind != "row_local"
 )
 PAPER_LABEL = "fista, preset paper"
 PRESET_SKIN = "skin, preset skin"
@@ -70,20 +78,28 @@ def raced() -> dict[str, Candidate]:
     paper = {"rows": PAPER_ROWS}
     rotating = {"rows": ROTATING}
     paces = {
-        f"{ROTATED}: {pace}": Candidate({**PRESETS["skin"], "iterations": pace}, changes=rotating)
+        f"{ROTATED}: {pace}": Candidate(
+            {**PRESETS["skin"], "iterations": pace}, changes=rotating
+        )
         for pace in SkinSolver.paces
     }
     methods = {"skin, fixed rows": Candidate(PRESETS["skin"])}
     if find_spec("numba"):
-        methods["skin, numpy"] = Candidate({**PRESETS["skin"], "fast": "off"}, changes=rotating)
+        methods["skin, numpy"] = Candidate(
+            {**PRESETS["skin"], "fast": "off"}, changes=rotating
+        )
     methods[PAPER_LABEL] = Candidate(PRESETS["paper"], changes=paper)
     methods["tv"] = Candidate({"solver": VARIATION, "basis": "haar"})
-    methods[INTERPOLATED] = Candidate({"solver": "interpolation"}, changes={"phi": "subsample"})
+    methods[INTERPOLATED] = Candidate(
+        {"solver": "interpolation"}, changes={"phi": "subsample"}
+    )
     methods |= LARGER
     settings = {key: PRESETS["paper"][key] for key in ("iterations", "lambda_n")}
     for name, peer in PEERS.items():
         if find_spec(peer.module):
-            methods[name] = Candidate({**settings, "name": name}, of="library", changes=paper)
+            methods[name] = Candidate(
+                {**settings, "name": name}, of="library", changes=paper
+            )
 
     # A pace follows another method, not a pace that has left its memory in the caches.
     turns = zip_longest(paces.items(), methods.items())
@@ -101,7 +117,9 @@ def variants() -> dict[str, Candidate]:
         PAPER_LABEL: Candidate(PRESETS["paper"], changes=paper),
         PRESET_SKIN: Candidate(PRESETS["skin"]),
         ROTATED: Candidate(PRESETS["skin"], changes={"rows": ROTATING}),
-        "fista, tuned": Candidate({**PRESETS["paper"], "lambda_n": TUNED_LAMBDA_N}, changes=paper),
+        "fista, tuned": Candidate(
+            {**PRESETS["paper"], "lambda_n": TUNED_LAMBDA_N}, changes=paper
+        ),
         FORMULA: Candidate({**PRESETS["skin"], "gates": "formula"}),
     }
     solvers_by_label |= LARGER
@@ -118,7 +136,9 @@ def frames_of(scenes: Sequence[str], short: bool) -> list[SceneFrames]:
     for scene in scenes:
         every = max(1, round(PERIOD_S / (scene_of(scene).dt_ns * 1e-9)))
         n_after, later = (40, 40) if short else (180, 200)
-        scene_frames.append(SceneFrames(scene, -20 * every, n_after * every, every, later))
+        scene_frames.append(
+            SceneFrames(scene, -20 * every, n_after * every, every, later)
+        )
     return scene_frames
 
 
@@ -128,7 +148,9 @@ def times(quick: bool, seed: int) -> Experiment:
     """
     frames = frames_of(QUICK_SCENES if quick else tuple(SCENES), quick)
     measurements = [Measurement(CENTRE_RATIO)]
-    return Experiment("time of a frame", frames, measurements, raced(), tuple(FIGURES), (seed,))
+    return Experiment(
+        "time of a frame", frames, measurements, raced(), tuple(FIGURES), (seed,)
+    )
 
 
 def solvers(quick: bool, seed: int) -> Iterator[Experiment]:
@@ -141,8 +163,13 @@ def solvers(quick: bool, seed: int) -> Iterator[Experiment]:
     }
     frames = frames_of(QUICK_SCENES if quick else tuple(SCENES), quick)
     swept = [*map(Measurement, QUICK_RATIOS if quick else RATIOS)]
-    for candidates, measurements in ((by_label, swept), (fixed, [Measurement(1, phi="full")])):
-        yield _timed("solvers", frames, measurements, candidates, tuple(FIGURES), (seed,))
+    for candidates, measurements in (
+        (by_label, swept),
+        (fixed, [Measurement(1, phi="full")]),
+    ):
+        yield _timed(
+            "solvers", frames, measurements, candidates, tuple(FIGURES), (seed,)
+        )
 
 
 def parts(quick: bool, seed: int) -> Iterator[Experiment]:
@@ -161,14 +188,17 @@ def parts(quick: bool, seed: int) -> Iterator[Experiment]:
         (bases, [*map(Measurement, ratios)]),
         (haar, [*kinds, Measurement(1, phi="full")]),
     ):
-        yield _timed("bases and Phi", frames, measurements, candidates, tuple(FIGURES), (seed,))
+        yield _timed(
+            "bases and Phi", frames, measurements, candidates, tuple(FIGURES), (seed,)
+        )
 
 
 def readings(quick: bool, seed: int) -> Experiment:
     """The noisy taxels themselves, with dead zones of several widths, which name the candidates."""
     frames = frames_of(QUICK_SCENES if quick else tuple(SCENES), quick)
     zones = {
-        f"{width:g}": Candidate({"dead_zone_n": width}, of="reading") for width in DEAD_ZONES_N
+        f"{width:g}": Candidate({"dead_zone_n": width}, of="reading")
+        for width in DEAD_ZONES_N
     }
     scores = ("mean_db", "min_db", "touched_mn")
     return Experiment("full readings", frames, [Measurement(1)], zones, scores, (seed,))
@@ -183,7 +213,9 @@ def pool_of(scene: str) -> str:
 def n_bytes(n: int, ratio: float, rows: str, phi: str) -> int:
     """Bytes of the message of a frame: of measurements, or of taxels with phi ""."""
     if not phi:
-        return size_bytes(Taxels(stamp_ns=0, patch="skin", forces=np.zeros((1, n), np.float32)))
+        return size_bytes(
+            Taxels(stamp_ns=0, patch="skin", forces=np.zeros((1, n), np.float32))
+        )
     y = np.zeros(n if phi == "full" else m_of(n, ratio, rows), np.float32)
     return size_bytes(Measurements(stamp_ns=0, patch="skin", y=y, phi="0" * 16))
 
@@ -197,13 +229,17 @@ def pooled(rows: pd.DataFrame, keys: Sequence[str]) -> pd.DataFrame:
     return means.sort_values("panel", kind="stable")
 
 
-def gathered(experiments: Iterable[Experiment], out: Path, executor: str) -> pd.DataFrame:
+def gathered(
+    experiments: Iterable[Experiment], out: Path, executor: str
+) -> pd.DataFrame:
     """Rows of some experiments, with n_bytes, label, and pace: stated iterations, NaN if none."""
-    rows = pd.concat(experiment.run(out, executor) for experiment in experiments).reset_index(
-        drop=True
-    )
+    rows = pd.concat(
+        experiment.run(out, executor) for experiment in experiments
+    ).reset_index(drop=True)
     split = rows["method"].str.split(": ", expand=True).reindex(columns=[0, 1])
     shapes = [math.prod(scene_of(scene).shape) for scene in rows["scene"]]
     rotates = [ROTATING if label == ROTATED else "" for label in split[0]]
     sizes = map(n_bytes, shapes, rows["ratio"], rotates, rows["phi"])
-    return rows.assign(label=split[0], pace=pd.to_numeric(split[1]), n_bytes=list(sizes))
+    return rows.assign(
+        label=split[0], pace=pd.to_numeric(split[1]), n_bytes=list(sizes)
+    )

@@ -48,7 +48,14 @@ def draw_times(out: Path, rows: pd.DataFrame, noisy: Mapping[str, float]) -> str
     """
     n = len(noisy)
     with Chart(
-        out, "time_of_a_frame", CAPTION, n, n, size_in=(4.6 * n, 4.4), legend_columns=0, sharey=True
+        out,
+        "time_of_a_frame",
+        CAPTION,
+        n,
+        n,
+        size_in=(4.6 * n, 4.4),
+        legend_columns=0,
+        sharey=True,
     ) as chart:
         for axes, panel in zip(chart.panels, noisy, strict=True):
             points = rows[rows["panel"] == panel]
@@ -96,22 +103,42 @@ def _show_error(axes: Axes) -> None:
 def _draw_points(axes: Axes, points: pd.DataFrame, noisy_db: float) -> None:
     """The default as a line of its paces, all others as points, and a label for each."""
     axes.axhline(noisy_db, color=BLACK, linestyle="--", linewidth=1.0, zorder=1)
-    place: dict[str, Any] = {"transform": axes.get_yaxis_transform(), "ha": "left", "va": "top"}
+    place: dict[str, Any] = {
+        "transform": axes.get_yaxis_transform(),
+        "ha": "left",
+        "va": "top",
+    }
     axes.text(0.01, noisy_db, "all taxels read, no solver", fontsize=8, **place)
 
     paces = points[points["label"] == ROTATED].sort_values("pace")
     default = paces.iloc[-1]
     line: dict[str, Any] = {"color": ORANGE, "marker": "o", "markersize": 4}
     axes.plot(paces["median_ms"], paces["mean_db"], **line)
-    axes.plot(default["median_ms"], default["mean_db"], color=ORANGE, marker="*", markersize=15)
+    axes.plot(
+        default["median_ms"],
+        default["mean_db"],
+        color=ORANGE,
+        marker="*",
+        markersize=15,
+    )
     peers = points[points["label"].isin(list(PEERS))]
     solvers = points[~points["label"].isin([ROTATED, *PEERS])]
     for methods, color, marker in ((solvers, BLUE, "s"), (peers, GREEN, "D")):
-        style: dict[str, Any] = {"color": color, "marker": marker, "markersize": 5, "linestyle": ""}
+        style: dict[str, Any] = {
+            "color": color,
+            "marker": marker,
+            "markersize": 5,
+            "linestyle": "",
+        }
         axes.plot(methods["median_ms"], methods["mean_db"], **style)
 
     label = _Labels(axes, points)
-    label.add(default, f"default: skin, {default['pace']:.0f} iterations", ORANGE, weight="bold")
+    label.add(
+        default,
+        f"default: skin, {default['pace']:.0f} iterations",
+        ORANGE,
+        weight="bold",
+    )
     for _, point in paces.iloc[:-1].iterrows():
         label.add_below(point, f"{point['pace']:.0f}", ORANGE)
     for methods, color in ((solvers, BLUE), (peers, GREEN)):
@@ -127,11 +154,17 @@ class _Labels:
         self._axes = axes
         canvas: Any = FigureCanvasAgg(axes.figure.figure)  # as of `Chart`
         self._renderer = canvas.get_renderer()
-        places = axes.transData.transform(points[["median_ms", "mean_db"]].to_numpy(float))
+        places = axes.transData.transform(
+            points[["median_ms", "mean_db"]].to_numpy(float)
+        )
         radius = axes.figure.dpi * 4 / 72
-        self._taken = [Bbox.from_extents(*(place - radius), *(place + radius)) for place in places]
+        self._taken = [
+            Bbox.from_extents(*(place - radius), *(place + radius)) for place in places
+        ]
         # The line of the readings and the text on it.
-        self._taken += [artist.get_window_extent() for artist in (axes.lines[0], *axes.texts)]
+        self._taken += [
+            artist.get_window_extent() for artist in (axes.lines[0], *axes.texts)
+        ]
 
     def add(self, point: pd.Series, text: str, color: str, **font: Any) -> None:
         """Add a label at the first place with room; where there is none, at the first of all."""
@@ -146,7 +179,12 @@ class _Labels:
         self._fits(point, text, (0, -9), color, {})
 
     def _fits(
-        self, point: pd.Series, text: str, offset: tuple[float, float], color: str, font: Any
+        self,
+        point: pd.Series,
+        text: str,
+        offset: tuple[float, float],
+        color: str,
+        font: Any,
     ) -> bool:
         """Put a label, and take it away again if it covers something."""
         label = self._put(point, text, offset, color, font)
@@ -162,7 +200,12 @@ class _Labels:
         return False
 
     def _put(
-        self, point: pd.Series, text: str, offset: tuple[float, float], color: str, font: Any
+        self,
+        point: pd.Series,
+        text: str,
+        offset: tuple[float, float],
+        color: str,
+        font: Any,
     ) -> Annotation:
         sides = {-1: "right", 0: "center", 1: "left"}
         style: dict[str, Any] = {
@@ -172,9 +215,21 @@ class _Labels:
             **font,
         }
         # A thin line leads from a label that is not next to its point.
-        line = {"arrowstyle": "-", "color": color, "linewidth": 0.6, "shrinkA": 0, "shrinkB": 3}
+        line = {
+            "arrowstyle": "-",
+            "color": color,
+            "linewidth": 0.6,
+            "shrinkA": 0,
+            "shrinkB": 3,
+        }
         style |= {"arrowprops": line} if abs(offset[1]) > _NEAR else {}
         place = (point["median_ms"], point["mean_db"])
         return self._axes.annotate(
-            text, place, offset, textcoords="offset points", color=color, zorder=5, **style
+            text,
+            place,
+            offset,
+            textcoords="offset points",
+            color=color,
+            zorder=5,
+            **style,
         )

@@ -112,7 +112,9 @@ def _stuck(rng: np.random.Generator, skin: Skin, shape: Callable[..., Mask]) -> 
     # A small shape may lie on a hole of the skin alone.
     while not cells.any():
         cells = shape(rng, skin) & skin.exists
-    value = float(rng.choice([0.0, rng.uniform(0, skin.f_max), skin.f_max], p=[0.2, 0.6, 0.2]))
+    value = float(
+        rng.choice([0.0, rng.uniform(0, skin.f_max), skin.f_max], p=[0.2, 0.6, 0.2])
+    )
     text = f"{np.count_nonzero(cells)} taxels at {value:.2f} N"
     return Drawn(text, lambda x, moment: np.where(cells, value, x))
 
@@ -178,7 +180,9 @@ def _garbage_at_times(rng: np.random.Generator, skin: Skin) -> Drawn:
         garbage[rows] = moment.rng.uniform(-height, height, rows.size)
         return garbage
 
-    return Drawn(f"{_of_rows(share)} up to {height:.1f} N, every {interval} frames", change)
+    return Drawn(
+        f"{_of_rows(share)} up to {height:.1f} N, every {interval} frames", change
+    )
 
 
 def _garbage(rng: np.random.Generator, skin: Skin) -> Drawn:
@@ -218,7 +222,9 @@ def _offset(rng: np.random.Generator, skin: Skin) -> Drawn:
 
 def _hum(rng: np.random.Generator, skin: Skin) -> Drawn:
     height = _size(rng, 0.02, 1) * skin.f_max
-    return Drawn(f"{height:.2f} N", lambda y, moment: y + height * math.sin(HUM_PHASE * moment.k))
+    return Drawn(
+        f"{height:.2f} N", lambda y, moment: y + height * math.sin(HUM_PHASE * moment.k)
+    )
 
 
 def _zeros(rng: np.random.Generator, skin: Skin) -> Drawn:
@@ -260,7 +266,9 @@ def _scaled_down(rng: np.random.Generator, skin: Skin) -> Drawn:
 def _loud(rng: np.random.Generator, skin: Skin) -> Drawn:
     deviation = _size(rng, 0.04, 1) * skin.f_max
     text = f"deviation {deviation:.2f} N"
-    return Drawn(text, lambda y, moment: y + deviation * moment.rng.standard_normal(y.size))
+    return Drawn(
+        text, lambda y, moment: y + deviation * moment.rng.standard_normal(y.size)
+    )
 
 
 def _out_of_order(rng: np.random.Generator, skin: Skin) -> Drawn:
@@ -397,7 +405,9 @@ class Spoiler:
         return np.ascontiguousarray(changed, dtype=np.float32)
 
 
-def draw_fault(rng: np.random.Generator, skin: Skin, begins: int, kind: str = "") -> Fault:
+def draw_fault(
+    rng: np.random.Generator, skin: Skin, begins: int, kind: str = ""
+) -> Fault:
     """Draw a fault of a skin. A stated kind replaces the drawn one."""
     drawn_kind = str(rng.choice(list(KINDS)))
     seed = int(rng.integers(2**32))

@@ -57,14 +57,18 @@ def _rough(rng: np.random.Generator, place: Place) -> Doubles:
 def _checkered(rng: np.random.Generator, place: Place) -> Doubles:
     side = int(rng.integers(1, 3))
     cells = np.floor(place.down / side) + np.floor(place.across / side)
-    return np.where((cells % 2 == 0) & (place.distance < max(2.0, place.radius)), 1.0, 0.0)
+    return np.where(
+        (cells % 2 == 0) & (place.distance < max(2.0, place.radius)), 1.0, 0.0
+    )
 
 
 def _bumps(rng: np.random.Generator, place: Place, count: int, width: float) -> Doubles:
     """Sum of Gaussian bumps of one width at random taxels."""
     forces = np.zeros(place.down.shape)
     for _ in range(count):
-        row, col = (rng.uniform(axis.min(), axis.max()) for axis in (place.down, place.across))
+        row, col = (
+            rng.uniform(axis.min(), axis.max()) for axis in (place.down, place.across)
+        )
         squares = (place.down - row) ** 2 + (place.across - col) ** 2
         forces += rng.uniform(0.3, 1.0) * np.exp(-0.5 * squares / width**2)
     return forces
@@ -90,7 +94,9 @@ def _disc(rng: np.random.Generator, place: Place) -> Doubles:
 
 def _box(rng: np.random.Generator, place: Place) -> Doubles:
     height, width = place.radius * rng.uniform(0.3, 1.0, 2)
-    inside = (np.abs(place.down) <= max(1.0, height)) & (np.abs(place.across) <= max(1.0, width))
+    inside = (np.abs(place.down) <= max(1.0, height)) & (
+        np.abs(place.across) <= max(1.0, width)
+    )
     return np.where(inside, 1.0, 0.0)
 
 
@@ -103,12 +109,16 @@ def _ring(rng: np.random.Generator, place: Place) -> Doubles:
 def _edge(rng: np.random.Generator, place: Place) -> Doubles:
     from_line = np.abs(place.along(rng.uniform(0, math.pi)))
     length = max(3.0, 2 * place.radius)
-    return np.where((from_line < rng.uniform(0.6, 1.5)) & (place.distance < length), 1.0, 0.0)
+    return np.where(
+        (from_line < rng.uniform(0.6, 1.5)) & (place.distance < length), 1.0, 0.0
+    )
 
 
 def _taxel(rng: np.random.Generator, place: Place) -> Doubles:
     nearest = int(place.distance.argmin())
-    return np.where(np.arange(place.down.size) == nearest, 1.0, 0.0).reshape(place.down.shape)
+    return np.where(np.arange(place.down.size) == nearest, 1.0, 0.0).reshape(
+        place.down.shape
+    )
 
 
 def _few(rng: np.random.Generator, place: Place) -> Doubles:
@@ -162,7 +172,9 @@ class Load:
         """Forces k frames after the first touch of `n_pressed` frames, newtons, float32."""
         share = min(1.0, (k + 1) / self.rise)
         if self.motion == "ramps":
-            share = min(1.0, (k + 1) / (0.7 * n_pressed), (n_pressed - k) / (0.3 * n_pressed))
+            share = min(
+                1.0, (k + 1) / (0.7 * n_pressed), (n_pressed - k) / (0.3 * n_pressed)
+            )
         if self.motion == "comes and goes" and k % self.period >= 0.6 * self.period:
             share = 0.0
         press = self.press
@@ -178,7 +190,9 @@ def shifted(frame: Floats, distances: list[float]) -> Floats:
     for axis, distance in enumerate(distances):
         whole = math.floor(distance)
         part = distance - whole
-        frame = (1 - part) * _rolled(frame, whole, axis) + part * _rolled(frame, whole + 1, axis)
+        frame = (1 - part) * _rolled(frame, whole, axis) + part * _rolled(
+            frame, whole + 1, axis
+        )
     return frame
 
 
@@ -191,7 +205,11 @@ def _rolled(frame: Floats, n_taxels: int, axis: int) -> Floats:
 
 
 def draw_load(
-    rng: np.random.Generator, exists: Mask, f_max: float, kind: str = "", motion: str = ""
+    rng: np.random.Generator,
+    exists: Mask,
+    f_max: float,
+    kind: str = "",
+    motion: str = "",
 ) -> Load:
     """Draw a load on the taxels that exist. A stated kind or motion replaces the drawn one."""
     drawn_kind = str(rng.choice(list(KINDS)))

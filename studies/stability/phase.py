@@ -49,7 +49,9 @@ def weak_threshold(delta: float) -> float:
 
 def coefficients(ratio: float, quick: bool) -> dict[float, int]:
     """Numbers of coefficients of the pads at a ratio, by K/M."""
-    return {rho: round(rho * SIDE**2 / ratio) for rho in (QUICK_RHOS if quick else RHOS)}
+    return {
+        rho: round(rho * SIDE**2 / ratio) for rho in (QUICK_RHOS if quick else RHOS)
+    }
 
 
 def experiments(quick: bool, seed: int) -> Iterator[Experiment]:
@@ -58,22 +60,30 @@ def experiments(quick: bool, seed: int) -> Iterator[Experiment]:
     candidates |= LARGER | READINGS
     seeds = range(seed, seed + (1 if quick else 3))
     for ratio in QUICK_RATIOS if quick else RATIOS:
-        counts = [count for count in coefficients(ratio, quick).values() if count >= LEAST_K]
+        counts = [
+            count for count in coefficients(ratio, quick).values() if count >= LEAST_K
+        ]
         frames = [PadFrames(SIDE, k, N_STATIC, N_STATIC - N_JUDGED) for k in counts]
-        yield Experiment("phase", frames, [Measurement(ratio)], candidates, ("mean_db",), seeds)
+        yield Experiment(
+            "phase", frames, [Measurement(ratio)], candidates, ("mean_db",), seeds
+        )
 
 
 def section(page: Page, quick: bool, seed: int, executor: str) -> None:
     """Compute, draw and add the section."""
     every = pd.concat(one.run(page.out, executor) for one in experiments(quick, seed))
     every = every.astype({"mean_db": float})
-    means = every.groupby(["n_coefficients", "ratio", "method"], sort=False)["mean_db"].mean()
+    means = every.groupby(["n_coefficients", "ratio", "method"], sort=False)[
+        "mean_db"
+    ].mean()
     gains = means.unstack("method")
     gains = gains.drop(columns=list(READINGS)).sub(gains[next(iter(READINGS))], axis=0)
     rows = gains.stack().rename("gain_db").reset_index()
     rows["k_over_m"] = rows["n_coefficients"] * rows["ratio"] / SIDE**2
     page.csv("phase_skin", rows)
-    page.section("Solvers: measurements that a frame needs", _draw(page.out, rows, quick))
+    page.section(
+        "Solvers: measurements that a frame needs", _draw(page.out, rows, quick)
+    )
 
 
 def _edges(centres: Sequence[float]) -> list[float]:
@@ -92,8 +102,12 @@ def _gains(rows: pd.DataFrame, quick: bool) -> Floats:
     known = rows.set_index(["n_coefficients", "ratio"])["gain_db"]
     rhos = QUICK_RHOS if quick else RHOS
     ratios = QUICK_RATIOS if quick else RATIOS
-    keys = [[(coefficients(ratio, quick)[rho], ratio) for ratio in ratios] for rho in rhos]
-    return np.array([[known.get(key, np.nan) for key in line] for line in keys], dtype=np.float32)
+    keys = [
+        [(coefficients(ratio, quick)[rho], ratio) for ratio in ratios] for rho in rhos
+    ]
+    return np.array(
+        [[known.get(key, np.nan) for key in line] for line in keys], dtype=np.float32
+    )
 
 
 def _draw(out: Path, rows: pd.DataFrame, quick: bool) -> str:
@@ -118,8 +132,13 @@ def _draw(out: Path, rows: pd.DataFrame, quick: bool) -> str:
             gains = _gains(rows[rows["method"] == method], quick)
             axes.set_facecolor("0.85")
             axes.grid(False)
-            cells = axes.pcolormesh(x_edges, y_edges, np.ma.masked_invalid(gains), **style)
-            limits = {"xlim": (x_edges[0], x_edges[-1]), "ylim": (y_edges[0], y_edges[-1])}
+            cells = axes.pcolormesh(
+                x_edges, y_edges, np.ma.masked_invalid(gains), **style
+            )
+            limits = {
+                "xlim": (x_edges[0], x_edges[-1]),
+                "ylim": (y_edges[0], y_edges[-1]),
+            }
             axes.set(title=TITLES.get(method, method), xscale="log", **limits)
             ticks = (32, 16, 8, 4, 2)
             axes.set_xticks([1 / k for k in ticks], [f"1/{k}" for k in ticks])

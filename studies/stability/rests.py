@@ -51,7 +51,9 @@ class RestWorld:
         skin = self.skin
         f_max = self.skin.f_max
         size = f"{skin.n_taxels} taxels of {skin.n_rows} x {skin.n_cols}"
-        parts = f"level {self.level / f_max:.3f}, noise {self.noise / f_max:.4f} of f_max"
+        parts = (
+            f"level {self.level / f_max:.3f}, noise {self.noise / f_max:.4f} of f_max"
+        )
         return f"{self.kind}: {size}, {parts}, {self.load} from frame {self.begin} on"
 
 
@@ -69,7 +71,9 @@ def draw_rest_world(rng: np.random.Generator, kind: str) -> RestWorld:
     load = draw_load(rng, exists, f_max)
     begin = int(rng.choice([0, 0, *rng.integers(5, 60, 4)]))
     is_level = kind in (LEVEL, LEVEL_FALLS)
-    rest = _draw_levels(rng, (rows, cols), f_max) if is_level else np.zeros((rows, cols))
+    rest = (
+        _draw_levels(rng, (rows, cols), f_max) if is_level else np.zeros((rows, cols))
+    )
     is_clipped = is_level or (kind == FORCES and rng.random() < 0.5)
     readings = []
     forces = []
@@ -97,7 +101,9 @@ def _draw_mask(rng: np.random.Generator, shape: tuple[int, int]) -> Mask:
     return exists if exists.sum() > 8 else np.ones_like(exists)
 
 
-def _draw_levels(rng: np.random.Generator, shape: tuple[int, int], f_max: float) -> Doubles:
+def _draw_levels(
+    rng: np.random.Generator, shape: tuple[int, int], f_max: float
+) -> Doubles:
     """Readings at rest: of one size, on a slope, or of few kinds. One taxel in 200 is dead."""
     base = f_max * math.exp(rng.uniform(math.log(0.05), math.log(0.9)))
     least = rng.uniform(0.3, 1.0)
@@ -137,7 +143,9 @@ def are_hidden(world: RestWorld, reasons: list[str]) -> list[bool]:
     least = 2 * max(0.01 * world.skin.f_max, 6 * world.noise)
     is_pressed = [float(forces.max()) > least for forces in world.forces]
     is_wrong = [world.kind == FALLS and pressed for pressed in is_pressed]
-    return [wrong and not reason for wrong, reason in zip(is_wrong, reasons, strict=True)]
+    return [
+        wrong and not reason for wrong, reason in zip(is_wrong, reasons, strict=True)
+    ]
 
 
 def is_missed(world: RestWorld, reasons: list[str]) -> bool:
@@ -157,7 +165,9 @@ def main(n_worlds: int) -> None:
             counts = _counts(kind, n_worlds, begins)
             when = "touched from the first frame on" if begins else "untouched at first"
             what = "false alarms" if kind == FORCES else "misses"
-            print(f"{kind}, {when}: {what}: {counts[0]} of {counts[1]} worlds, ", end="")
+            print(
+                f"{kind}, {when}: {what}: {counts[0]} of {counts[1]} worlds, ", end=""
+            )
             print(f"{counts[2]} of {counts[3]} frames")
 
 

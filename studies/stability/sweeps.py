@@ -30,7 +30,10 @@ METHODS = (*SUM_SOLVERS, *LARGER)
 """Order of the curves."""
 FAILS_DB = 3.0
 """Loss from the best of a sweep that counts as failing, in PSNR or over the touched taxels."""
-SHOWN = {"mean_db": ("PSNR, dB", 10, 70), "touched_db": ("1 N / error where touched, dB", 0, 60)}
+SHOWN = {
+    "mean_db": ("PSNR, dB", 10, 70),
+    "touched_db": ("1 N / error where touched, dB", 0, 60),
+}
 """Label of each score, and where its curves are cut off."""
 
 
@@ -50,12 +53,20 @@ class Sweep:
 LAMBDAS = np.geomspace(1e-4, 1.0, 17).tolist()
 SETTINGS = {
     "lambda_n": Sweep("λ, N", LAMBDAS, LAMBDAS[::4]),
-    "iterations": Sweep("iterations a frame", (1, 2, 3, 5, 7, 10, 15, 20, 30, 50, 100), (1, 5, 20)),
+    "iterations": Sweep(
+        "iterations a frame", (1, 2, 3, 5, 7, 10, 15, 20, 30, 50, 100), (1, 5, 20)
+    ),
     "noise": Sweep(
-        "noise, times the paper's", (0, 0.25, 0.5, 1, 2, 3, 5, 7, 10), (0, 1, 10), "linear", True
+        "noise, times the paper's",
+        (0, 0.25, 0.5, 1, 2, 3, 5, 7, 10),
+        (0, 1, 10),
+        "linear",
+        True,
     ),
     "block": Sweep("block size B", [2**k for k in range(1, 9)], (2, 32, 256)),
-    "bits": Sweep("bits of a measurement", (4, 5, 6, 7, 8, 10, 12, 16), (4, 8), "linear"),
+    "bits": Sweep(
+        "bits of a measurement", (4, 5, 6, 7, 8, 10, 12, 16), (4, 8), "linear"
+    ),
 }
 
 
@@ -73,10 +84,14 @@ def experiments(quick: bool, seed: int) -> Iterator[Experiment]:
         values = sweep.quick if quick else sweep.values
         factors = values if key == "noise" else (1.0,)
         frames = [replace(one, noise=factor) for one in EXCERPTS for factor in factors]
-        of_rows = [{key: value} for value in values] if key in ("block", "bits") else [{}]
+        of_rows = (
+            [{key: value} for value in values] if key in ("block", "bits") else [{}]
+        )
         ratios = (3,) if quick else (3, 8)
         measurements = [Measurement(r, **one) for r in ratios for one in of_rows]  # type: ignore[arg-type]
-        candidates = {label: Candidate(own(name)) for label, name in SUM_SOLVERS.items()}
+        candidates = {
+            label: Candidate(own(name)) for label, name in SUM_SOLVERS.items()
+        }
         if key in ("lambda_n", "iterations"):
             candidates = {
                 f"{label}: {value}": Candidate({**own(name), key: value})
@@ -87,7 +102,9 @@ def experiments(quick: bool, seed: int) -> Iterator[Experiment]:
         if key == "noise":
             candidates |= LARGER  # nothing else is a setting of them
         scores = ("mean_db", "touched_mn")
-        yield Experiment(key, frames, measurements, candidates | READINGS, scores, (seed,))
+        yield Experiment(
+            key, frames, measurements, candidates | READINGS, scores, (seed,)
+        )
 
 
 def swept(one: Experiment, out: Path, executor: str) -> pd.DataFrame:
@@ -100,7 +117,9 @@ def swept(one: Experiment, out: Path, executor: str) -> pd.DataFrame:
     keys = ["sweep", "ratio", "solver", "value"]
     names = list(SHOWN)
     means = rows.groupby(keys, sort=False, dropna=False)[names].mean().reset_index()
-    noisy = means[means["solver"].isin(READINGS)].rename(columns={s: f"noisy_{s}" for s in names})
+    noisy = means[means["solver"].isin(READINGS)].rename(
+        columns={s: f"noisy_{s}" for s in names}
+    )
     on = ["ratio", *(["value"] if noisy["value"].notna().all() else [])]
     noisy = noisy[[*on, *(f"noisy_{s}" for s in names)]]
     return means[~means["solver"].isin(READINGS)].merge(noisy, on=on)
@@ -115,10 +134,16 @@ def section(page: Page, quick: bool, seed: int, executor: str) -> None:
     page.csv("settings", rows)
     classes = {label: solver_class(name) for label, name in SUM_SOLVERS.items()}
     ranges = {label: solver_fact(cls, "lambdas_n") for label, cls in classes.items()}
-    least = {label: solver_fact(cls, "least_iterations") for label, cls in classes.items()}
+    least = {
+        label: solver_fact(cls, "least_iterations") for label, cls in classes.items()
+    }
     known = {
-        "lambdas": ", ".join(f"{r[0]:g} to {r[1]:g} ({label})" for label, r in ranges.items() if r),
-        "iterations": ", ".join(f"{number} ({label})" for label, number in least.items()),
+        "lambdas": ", ".join(
+            f"{r[0]:g} to {r[1]:g} ({label})" for label, r in ranges.items() if r
+        ),
+        "iterations": ", ".join(
+            f"{number} ({label})" for label, number in least.items()
+        ),
     }
     limits = {"min_block": MIN_BLOCK, "min_bits": MIN_BITS}
     page.section("Solvers: settings and surroundings", *charts, **known, **limits)
@@ -137,10 +162,17 @@ def _draw(out: Path, ratio: int, frame: pd.DataFrame) -> str:
                 noisy = f"noisy_{score}"
                 some[[score, noisy]] = some[[score, noisy]].clip(low, high)
                 readings = some.drop_duplicates("value").sort_values("value")
-                grey: dict[str, Any] = {"color": "#555555", "lw": 2.2, "alpha": 0.6, "zorder": 1}
+                grey: dict[str, Any] = {
+                    "color": "#555555",
+                    "lw": 2.2,
+                    "alpha": 0.6,
+                    "zorder": 1,
+                }
                 label = "readings of all taxels"
                 axes.plot(readings["value"], readings[noisy], label=label, **grey)
-                draw_lines(axes, some, "value", score, "solver", METHODS, markersize=3.5)
+                draw_lines(
+                    axes, some, "value", score, "solver", METHODS, markersize=3.5
+                )
                 axes.set(xscale=sweep.scale, xlabel=sweep.label if below else "")
                 axes.set_ylabel("" if k else title)
     return chart.markdown
@@ -153,10 +185,15 @@ def sweep_table(frame: pd.DataFrame) -> pd.DataFrame:
         return f"{row['mean_db']:.1f} ({row['touched_db']:.1f}) at {row['value']:.3g}"
 
     lines = []
-    for (key, solver), some in frame.reset_index().groupby(["sweep", "solver"], sort=False):
+    for (key, solver), some in frame.reset_index().groupby(
+        ["sweep", "solver"], sort=False
+    ):
         best = some["mean_db"].idxmax()
         worst = some["mean_db"].idxmin()
-        ends = {"best, dB (where touched)": both(some.loc[best]), "worst": both(some.loc[worst])}
+        ends = {
+            "best, dB (where touched)": both(some.loc[best]),
+            "worst": both(some.loc[worst]),
+        }
         fails = failing(some, SETTINGS[str(key)])
         lines.append({"swept": key, "solver": solver, **ends, "fails": fails})
     return pd.DataFrame(lines)

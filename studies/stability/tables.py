@@ -45,7 +45,9 @@ N_LISTED = 12
 GREY = "#999999"
 
 
-def run(out: Path, quick: bool, seed: int, executor: str, worlds: int | None = None) -> list[str]:
+def run(
+    out: Path, quick: bool, seed: int, executor: str, worlds: int | None = None
+) -> list[str]:
     """Compute the study, write its page and return its conclusion; see `command.Study`. `worlds`:
     number of worlds of each kind; with it these sections alone.
     """
@@ -71,7 +73,9 @@ def run(out: Path, quick: bool, seed: int, executor: str, worlds: int | None = N
     return lines
 
 
-def points(kinds: Mapping[str, Sequence[str]], n_worlds: int, seed: int) -> list[dict[str, Any]]:
+def points(
+    kinds: Mapping[str, Sequence[str]], n_worlds: int, seed: int
+) -> list[dict[str, Any]]:
     """So many worlds of each kind of load without a fault, and of each kind of fault."""
     asked = [{"load": kind, "fault": ""} for kind in kinds["load"]]
     asked += [{"load": "", "fault": kind} for kind in kinds["fault"]]
@@ -88,7 +92,9 @@ def points(kinds: Mapping[str, Sequence[str]], n_worlds: int, seed: int) -> list
 def measure(point: dict[str, Any]) -> dict[str, Any]:
     """Verdict on the world of a point, and what the world is."""
     has_fault = bool(point["fault"])
-    world = draw_world(point["seed"], has_fault, load=point["load"], fault=point["fault"])
+    world = draw_world(
+        point["seed"], has_fault, load=point["load"], fault=point["fault"]
+    )
     verdict = judge(world, point["through"])
     return {
         **vars(verdict),
@@ -102,7 +108,9 @@ def measure(point: dict[str, Any]) -> dict[str, Any]:
 def judged(worlds: Sequence[dict[str, Any]], out: Path, executor: str) -> pd.DataFrame:
     """Points with their figures, and the group of their fault."""
     rows = pd.DataFrame(compute_rows(measure, worlds, out, executor, "worlds"))
-    return rows.assign(group=rows["fault"].map(GROUPS)).astype({"error": float, "reading": float})
+    return rows.assign(group=rows["fault"].map(GROUPS)).astype(
+        {"error": float, "reading": float}
+    )
 
 
 def shares(rows: pd.DataFrame, by: str) -> pd.DataFrame:
@@ -113,7 +121,16 @@ def shares(rows: pd.DataFrame, by: str) -> pd.DataFrame:
     kinds = rows.assign(
         worlds=1, of_silent=rows["silent"] > 0, of_residue=rows["residue"] > RESIDUE
     ).groupby(by, sort=False)
-    names = ["worlds", "frames", "wrong", "silent", "right", "alarms", "of_silent", "of_residue"]
+    names = [
+        "worlds",
+        "frames",
+        "wrong",
+        "silent",
+        "right",
+        "alarms",
+        "of_silent",
+        "of_residue",
+    ]
     sums = kinds[[*names, "estimated", "close"]].sum()
     sums["close"] = sums["close"] / sums["estimated"].where(sums["estimated"] > 0)
     sums["wrong"] = sums["wrong"] / sums["frames"]
@@ -175,7 +192,9 @@ def _counts(rows: pd.DataFrame) -> str:
 def with_fault(page: Page, rows: pd.DataFrame) -> str:
     """Add the section on faults, by kind; the line of the conclusion."""
     faulty = rows[(rows["group"] != NO_FAULT) & (rows["through"] == "Stream")]
-    kinds = shares(faulty, "fault").sort_values("silent", ascending=False, kind="stable")
+    kinds = shares(faulty, "fault").sort_values(
+        "silent", ascending=False, kind="stable"
+    )
     table = pd.DataFrame(
         {
             "fault": kinds["fault"],
@@ -187,7 +206,9 @@ def with_fault(page: Page, rows: pd.DataFrame) -> str:
         }
     )
     chart = _draw(page.out, kinds)
-    page.section("Faults of taxels and measurements", chart, table, goal=f"{SILENT_GOAL:.0%}")
+    page.section(
+        "Faults of taxels and measurements", chart, table, goal=f"{SILENT_GOAL:.0%}"
+    )
     return f"With a fault, {_counts(faulty)}."
 
 
@@ -203,7 +224,9 @@ def _draw(out: Path, kinds: pd.DataFrame) -> str:
         "silent": "wrong and trusted, % of frames",
         "alarms": "right and not trusted, % of frames",
     }
-    chart = Chart(out, "faults", caption, 2, 2, size_in=size_in, legend_columns=0, sharey=True)
+    chart = Chart(
+        out, "faults", caption, 2, 2, size_in=size_in, legend_columns=0, sharey=True
+    )
     limit = 115 * kinds[list(columns)].max(axis=None)
     with chart:
         for axes, (column, label) in zip(chart.panels, columns.items(), strict=True):
@@ -249,5 +272,7 @@ def worst_worlds(page: Page, rows: pd.DataFrame) -> list[str]:
     page.section("Worlds with the largest number of silent frames", table)
     lines = []
     for row in table.to_dict("records"):
-        lines.append(f"{row['silent']} of {row['frames']} frames silent: {row['world']}")
+        lines.append(
+            f"{row['silent']} of {row['frames']} frames silent: {row['world']}"
+        )
     return lines

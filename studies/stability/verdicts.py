@@ -88,7 +88,11 @@ Way = Callable[[World, str], Iterator[tuple[Frame, Answer | None]]]
 
 def through_stream(world: World, fast: str) -> Iterator[tuple[Frame, Answer | None]]:
     """Through `sparseskin.Stream`."""
-    options: dict[str, Any] = {"ratio": world.ratio, "rows": world.rows, "seed": world.seed % 5}
+    options: dict[str, Any] = {
+        "ratio": world.ratio,
+        "rows": world.rows,
+        "seed": world.seed % 5,
+    }
     options |= {"mask": world.mask, "fast": fast, **world.noise.options}
     edge = Stream(world.shape, **options)
     host = Stream(world.shape, **options)
@@ -99,7 +103,10 @@ def through_stream(world: World, fast: str) -> Iterator[tuple[Frame, Answer | No
             yield frame, None
             continue
         forces = host.reconstruct(y, k, edge.sensed)
-        yield frame, Answer(forces, host.trusted, host.reason, spoiler.is_empty, host.error)
+        yield (
+            frame,
+            Answer(forces, host.trusted, host.reason, spoiler.is_empty, host.error),
+        )
 
 
 def through_arrays(world: World, fast: str) -> Iterator[tuple[Frame, Answer | None]]:
@@ -107,13 +114,17 @@ def through_arrays(world: World, fast: str) -> Iterator[tuple[Frame, Answer | No
     n = int(np.count_nonzero(world.exists))
     phi = make_phi("sbhe", n, m_of(n, world.ratio, world.rows), seed=world.seed % 5)
     basis = make_basis("haar", *world.shape)
-    solver: Any = make_solver("skin", phi, basis, world.exists, fast=fast, rows=world.rows)
+    solver: Any = make_solver(
+        "skin", phi, basis, world.exists, fast=fast, rows=world.rows
+    )
     _state_noise(solver, world)
     subsets = getattr(solver, "subsets", ())
     frames = list(world.frames())
     readings = np.stack([frame.readings for frame in frames])
     spoiler = world.spoiler(of_taxels=False)
-    for k, measured in enumerate(compress(readings, phi, world.exists, rows=world.rows)):
+    for k, measured in enumerate(
+        compress(readings, phi, world.exists, rows=world.rows)
+    ):
         y = spoiler.spoil(measured)
         if y is None:
             yield frames[k], None
@@ -122,7 +133,10 @@ def through_arrays(world: World, fast: str) -> Iterator[tuple[Frame, Answer | No
             solver.use(subsets[k % len(subsets)])
         forces = reconstruct(y, solver)
         estimate, trusted = estimated_error(solver)
-        yield frames[k], Answer(forces, trusted, solver.reason, spoiler.is_empty, estimate)
+        yield (
+            frames[k],
+            Answer(forces, trusted, solver.reason, spoiler.is_empty, estimate),
+        )
 
 
 def _state_noise(solver: Any, world: World) -> None:
@@ -138,7 +152,9 @@ def _state_noise(solver: Any, world: World) -> None:
 def through_graph(world: World, fast: str) -> Iterator[tuple[Frame, Answer | None]]:
     """Through the nodes of a graph."""
     context = Context("", ManualClock(0), live=False)
-    settings = Compressor.Settings(ratio=world.ratio, rows=world.rows, seed=world.seed % 5)
+    settings = Compressor.Settings(
+        ratio=world.ratio, rows=world.rows, seed=world.seed % 5
+    )
     edge = Compressor(settings, context)
     host = Reconstructor(Reconstructor.Settings(fast=fast), context)
     skin = _skin_state(world)
@@ -161,7 +177,9 @@ def through_graph(world: World, fast: str) -> Iterator[tuple[Frame, Answer | Non
             yield frame, None
             continue
         messages = host.step(replace(measured, y=y[np.newaxis]))
-        (answer,) = (message for message in messages if isinstance(message, Reconstruction))
+        (answer,) = (
+            message for message in messages if isinstance(message, Reconstruction)
+        )
         trust = answer.trusted[0], answer.reason[0]
         yield frame, Answer(answer.forces[0], *trust, spoiler.is_empty, answer.error[0])
 
@@ -236,7 +254,9 @@ def verdict_on(world: World, answers: Iterable[tuple[Frame, Answer | None]]) -> 
 
     is_judged = ~np.isnan(error) & (np.arange(times.end) >= world.first_judged)
     is_wrong = is_judged & (error > WRONG) & (reading < GOOD)
-    is_right = is_judged & (error < GOOD) & ~is_empty & (np.arange(times.end) >= UNSETTLED)
+    is_right = (
+        is_judged & (error < GOOD) & ~is_empty & (np.arange(times.end) >= UNSETTLED)
+    )
     is_late = is_judged & (norms > 0)
     is_late &= np.arange(times.end) >= max(times.touch, world.first_judged) + UNSETTLED
     return Verdict(

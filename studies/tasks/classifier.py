@@ -53,7 +53,9 @@ class Classifier:
         self.n_features_in_ = 0
         self._model: Any = None
 
-    def fit(self, inputs: Floats, labels: ArrayLike, figures: Doubles | None = None) -> Classifier:
+    def fit(
+        self, inputs: Floats, labels: ArrayLike, figures: Doubles | None = None
+    ) -> Classifier:
         """Train on inputs (n, d), their n labels, and further figures (n, f); returns itself.
 
         Raises SparseskinError if there are fewer than `FOLDS` inputs or 2 labels.
@@ -64,7 +66,9 @@ class Classifier:
         self.classes_, numbers = np.unique(np.asarray(labels), return_inverse=True)
         if len(inputs) < FOLDS or self.classes_.size < 2:
             text = f"{len(inputs)} examples of {self.classes_.size} labels"
-            raise SparseskinError(f"{text}; needed are {FOLDS} or more, of 2 labels or more")
+            raise SparseskinError(
+                f"{text}; needed are {FOLDS} or more, of 2 labels or more"
+            )
         self.n_features_in_ = inputs.shape[1]
         targets = np.eye(self.classes_.size)[numbers]
         if figures is not None:
@@ -76,7 +80,9 @@ class Classifier:
         folds = KFold(FOLDS, shuffle=True, random_state=0)
         search = GridSearchCV(KernelRidge(kernel="rbf"), GRID, cv=folds, refit=False)
         search.fit(scaled[searched], targets[searched])
-        self._model = KernelRidge(kernel="rbf", **search.best_params_).fit(scaled, targets)
+        self._model = KernelRidge(kernel="rbf", **search.best_params_).fit(
+            scaled, targets
+        )
         return self
 
     def predict_proba(self, inputs: Floats) -> Doubles:

@@ -53,7 +53,9 @@ def read_set(folder: str) -> LabelledFrames:
     arrays = sorted(path.glob(SET_FILE))
     if len(arrays) != 1:
         allowed = "RawCharacters/*.h5 (STEMNIST), or one .npz of frames and labels"
-        raise StudyError(f"--data {folder}: {len(arrays)} files .npz; allowed: {allowed}")
+        raise StudyError(
+            f"--data {folder}: {len(arrays)} files .npz; allowed: {allowed}"
+        )
     return _arrays(arrays[0])
 
 
@@ -64,14 +66,18 @@ def _stemnist(paths: list[Path]) -> LabelledFrames:
     10.5281/zenodo.19469535; arXiv 2601.01658.
     """
     if find_spec("h5py") is None:
-        raise StudyError("--data: h5py is not installed: pip install 'sparseskin[hdf5]'")
+        raise StudyError(
+            "--data: h5py is not installed: pip install 'sparseskin[hdf5]'"
+        )
     frames = np.empty((len(paths), *STEMNIST_SHAPE), dtype=np.float32)
     labels = []
     people = []
     for k, path in enumerate(paths):
         person, label, number = [*path.stem.split("_"), "", ""][:3]
         if len(label) != 1 or not number.isdecimal():
-            raise StudyError(f"{path}: expected a name as AT_A_1.h5: person, label, number")
+            raise StudyError(
+                f"{path}: expected a name as AT_A_1.h5: person, label, number"
+            )
         readings = _pressures(path).astype(np.float32)
         # At rest a taxel reads its median; the character is what is written in all of its time.
         frames[k] = np.maximum(readings - np.median(readings, axis=0), 0).max(axis=0)
@@ -92,10 +98,14 @@ def _pressures(path: Path) -> np.ndarray[Any, np.dtype[np.uint8]]:
             is_as_expected = shape[1:] == STEMNIST_SHAPE and 0 < shape[0] <= MOST_STEPS
             if not is_as_expected or data.dtype != np.uint8:
                 expected = f"uint8 (1..{MOST_STEPS}, 16, 16)"
-                raise StudyError(f"{path}: pressure_data is {data.dtype} {shape}, not {expected}")
+                raise StudyError(
+                    f"{path}: pressure_data is {data.dtype} {shape}, not {expected}"
+                )
             return np.asarray(data[()])
     except (OSError, KeyError, AttributeError, RuntimeError) as error:
-        raise StudyError(f"{path}: no recording of STEMNIST: pressure_data is missing") from error
+        raise StudyError(
+            f"{path}: no recording of STEMNIST: pressure_data is missing"
+        ) from error
 
 
 def _arrays(path: Path) -> LabelledFrames:
@@ -114,7 +124,9 @@ def _arrays(path: Path) -> LabelledFrames:
 
     missing = [name for name in ("frames", "labels") if name not in parts]
     if missing:
-        raise StudyError(f"{path}: no array {missing[0]!r}; needed are frames and labels")
+        raise StudyError(
+            f"{path}: no array {missing[0]!r}; needed are frames and labels"
+        )
 
     frames = parts["frames"]
     if frames.ndim != 3 or not frames.size or frames.dtype.kind not in "iuf":
@@ -128,5 +140,7 @@ def _arrays(path: Path) -> LabelledFrames:
     groups = parts.get("groups", np.arange(len(frames)))
     for name, array in (("labels", parts["labels"]), ("groups", groups)):
         if array.shape != (len(frames),):
-            raise StudyError(f"{path}: {name} are {array.shape}, not ({len(frames)},) as frames")
+            raise StudyError(
+                f"{path}: {name} are {array.shape}, not ({len(frames)},) as frames"
+            )
     return LabelledFrames(frames, parts["labels"], groups, path.stem)

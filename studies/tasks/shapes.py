@@ -60,7 +60,9 @@ def _without(outer: Distance, inner: Distance) -> Distance:
 def _pads(count: int) -> Distance:
     """Discs on a circle."""
     angles = [2 * math.pi * k / count for k in range(count)]
-    return _union(*(_disc(0.33, 0.65 * math.cos(a), 0.65 * math.sin(a)) for a in angles))
+    return _union(
+        *(_disc(0.33, 0.65 * math.cos(a), 0.65 * math.sin(a)) for a in angles)
+    )
 
 
 def _triangle(u: Doubles, v: Doubles) -> Doubles:
@@ -84,7 +86,9 @@ SHAPES: dict[str, Shape] = {
     "cross": Shape(_union(_box(0.95, 0.2), _box(0.2, 0.95)), 4),
     "tee": Shape(_union(_box(0.2, 0.9, -0.6), _box(0.8, 0.2)), 1),
     "ell": Shape(_union(_box(0.2, 0.8, -0.6), _box(0.8, 0.2, 0.0, -0.6)), 1),
-    "crescent": Shape(_without(_disc(0.95), _union(_disc(0.5), lambda u, v: -_half(u, v))), 1),
+    "crescent": Shape(
+        _without(_disc(0.95), _union(_disc(0.5), lambda u, v: -_half(u, v))), 1
+    ),
     "two pads": Shape(_pads(2), 2),
     "three pads": Shape(_pads(3), 3),
 }
@@ -118,7 +122,9 @@ def draw(count: int, seed: int) -> Presses:
     return Presses(frames, labels, angles, places)
 
 
-def _forces(shape: Shape, angle: float, place: Doubles, rng: np.random.Generator) -> Floats:
+def _forces(
+    shape: Shape, angle: float, place: Doubles, rng: np.random.Generator
+) -> Floats:
     """True forces of a press, float32 (SIDE, SIDE), newtons."""
     radius = rng.uniform(*RADII)
     peak = math.exp(rng.uniform(*np.log(PEAKS_N)))

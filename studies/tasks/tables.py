@@ -38,7 +38,9 @@ CAPTION = (
 )
 
 
-def run(out: Path, quick: bool, seed: int, executor: str, data: Path | None = None) -> list[str]:
+def run(
+    out: Path, quick: bool, seed: int, executor: str, data: Path | None = None
+) -> list[str]:
     """Compute the study, write its page and return its conclusion; see `command.Study`. `data`:
     folder of a public set of frames, as `read_set` takes it.
     """
@@ -62,7 +64,12 @@ def run(out: Path, quick: bool, seed: int, executor: str, data: Path | None = No
     means = means.drop(columns="seed").reset_index()
     opening = {"value_bytes": VALUE_BYTES, "n_seeds": n_seeds, "searched": SEARCHED}
     page.section("", draw_chart(out, means), **opening)
-    sizes = {"side": SIDE, "least_n": PEAKS_N[0], "most_n": PEAKS_N[1], "names": ", ".join(NAMES)}
+    sizes = {
+        "side": SIDE,
+        "least_n": PEAKS_N[0],
+        "most_n": PEAKS_N[1],
+        "names": ", ".join(NAMES),
+    }
     sizes["n_labels"] = len(NAMES)
     sizes |= {"n_train": QUICK_TRAIN if quick else N_TRAIN}
     sizes |= {"n_test": QUICK_TEST if quick else N_TEST}
@@ -76,7 +83,9 @@ def run(out: Path, quick: bool, seed: int, executor: str, data: Path | None = No
     return lines
 
 
-def points(quick: bool, seed: int, n_seeds: int, of_set: dict[str, str]) -> list[dict[str, Any]]:
+def points(
+    quick: bool, seed: int, n_seeds: int, of_set: dict[str, str]
+) -> list[dict[str, Any]]:
     """A point a way, ratio and seed; `of_set`: fields of a set of frames."""
     ratios = QUICK_RATIOS if quick else RATIOS
     compressed = [way for way in WAYS if way != ALL]
@@ -96,7 +105,9 @@ def _drawn(count: int, seed: int) -> Presses:
 def of_shapes(point: dict[str, Any]) -> dict[str, Any]:
     """Recognition of presses: accuracy, %; median errors of angle, degrees, and place, taxels."""
     n_train = QUICK_TRAIN if point["quick"] else N_TRAIN
-    presses = _drawn(n_train + (QUICK_TEST if point["quick"] else N_TEST), point["seed"])
+    presses = _drawn(
+        n_train + (QUICK_TEST if point["quick"] else N_TEST), point["seed"]
+    )
     inputs = WAYS[point["way"]](presses.frames, point["ratio"], point["seed"])
     train = slice(n_train)
     test = slice(n_train, None)
@@ -106,13 +117,17 @@ def of_shapes(point: dict[str, Any]) -> dict[str, Any]:
     middle = (SIDE - 1) / 2
 
     # An angle is a direction of as many turns as the shape looks the same; of a disc there is none.
-    directions = np.stack([np.cos(turned), np.sin(turned)], axis=1) * (orders > 0)[:, None]
+    directions = (
+        np.stack([np.cos(turned), np.sin(turned)], axis=1) * (orders > 0)[:, None]
+    )
     figures = np.hstack([directions, (presses.places - middle) / SIDE])
     model = Classifier().fit(inputs[train], presses.labels[train], figures[train])
 
     shares, estimates = model.predict_all(inputs[test])
     right = model.classes_[shares.argmax(axis=1)] == presses.labels[test]
-    off = np.linalg.norm(middle + SIDE * estimates[:, 2:] - presses.places[test], axis=1)
+    off = np.linalg.norm(
+        middle + SIDE * estimates[:, 2:] - presses.places[test], axis=1
+    )
     angles = _angle_errors(estimates[:, :2], turned[test], orders[test])
     return {
         "task": SHAPE_TASK,
@@ -123,7 +138,9 @@ def of_shapes(point: dict[str, Any]) -> dict[str, Any]:
     }
 
 
-def _angle_errors(directions: Doubles, turned: Doubles, orders: np.ndarray[Any, Any]) -> Doubles:
+def _angle_errors(
+    directions: Doubles, turned: Doubles, orders: np.ndarray[Any, Any]
+) -> Doubles:
     """Errors of angles, degrees, of the shapes that have one. `directions` (n, 2); `turned`:
     true angle times the order of symmetry `orders`, (n,).
     """
@@ -170,7 +187,10 @@ def _hash_of(text: str) -> str:
 def tables(means: pd.DataFrame, task: str) -> list[str]:
     """A table of accuracy, and of shapes those of angles and places: a row a way."""
     rows = means[means["task"] == task]
-    figures = {"accuracy": "recognised, %", "angle_deg": "median error of the angle, degrees"}
+    figures = {
+        "accuracy": "recognised, %",
+        "angle_deg": "median error of the angle, degrees",
+    }
     figures["place_taxels"] = "median error of the place, taxels"
     texts = []
     for figure, title in figures.items():
@@ -208,18 +228,36 @@ def draw_chart(out: Path, means: pd.DataFrame) -> str:
     """Chart of accuracy over bytes: a panel a task, a line a way."""
     tasks: Sequence[str] = list(means["task"].unique())
     n = len(tasks)
-    layout: dict[str, Any] = {"size_in": (5.4 * n + 1.2, 4.6), "legend_columns": 3, "sharey": True}
+    layout: dict[str, Any] = {
+        "size_in": (5.4 * n + 1.2, 4.6),
+        "legend_columns": 3,
+        "sharey": True,
+    }
     with Chart(out, "accuracy_over_bytes", CAPTION, n, n, **layout) as chart:
         for axes, task in zip(chart.panels, tasks, strict=True):
             rows = means[means["task"] == task].sort_values("n_bytes")
             full = rows[rows["way"] == ALL].iloc[0]
             black: dict[str, Any] = {"color": PALETTE[-1], "zorder": 1}
             axes.axhline(full["accuracy"], linestyle="--", linewidth=1.0, **black)
-            axes.plot(full["n_bytes"], full["accuracy"], "*", label=ALL, markersize=11, **black)
+            axes.plot(
+                full["n_bytes"],
+                full["accuracy"],
+                "*",
+                label=ALL,
+                markersize=11,
+                **black,
+            )
             for way, place in PLACES_IN_PALETTE.items():
                 along = rows[rows["way"] == way]
-                axes.plot(along["n_bytes"], along["accuracy"], label=way, **series_style(place))
-            axes.set(xscale="log", title=task if task != SHAPE_TASK else "twelve shapes")
+                axes.plot(
+                    along["n_bytes"],
+                    along["accuracy"],
+                    label=way,
+                    **series_style(place),
+                )
+            axes.set(
+                xscale="log", title=task if task != SHAPE_TASK else "twelve shapes"
+            )
             axes.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
             axes.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
             axes.xaxis.set_minor_formatter(NullFormatter())

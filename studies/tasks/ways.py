@@ -50,7 +50,8 @@ def _single(frames: Floats, ratio: int, seed: int) -> Floats:
     mask = np.ones(frames.shape[1:], dtype=np.bool_)
     m = m_of(mask.size, ratio)
     read = max(
-        (cells for cells in classes(mask, ratio) if cells.size <= m), key=lambda cells: cells.size
+        (cells for cells in classes(mask, ratio) if cells.size <= m),
+        key=lambda cells: cells.size,
     )
     return frames.reshape(len(frames), -1)[:, read]
 

@@ -53,9 +53,13 @@ def first_network(seed: int) -> Network:
     inside[MARGIN:-MARGIN, MARGIN:-MARGIN] = True
     haar = np.zeros((TILE * TILE, WINDOW * WINDOW))
     units = np.eye(TILE * TILE, dtype=np.float32).reshape(-1, TILE, TILE)
-    haar[:, inside.reshape(-1)] = HaarBasis(TILE, TILE).analysis(units).reshape(len(units), -1).T
+    haar[:, inside.reshape(-1)] = (
+        HaarBasis(TILE, TILE).analysis(units).reshape(len(units), -1).T
+    )
     n_more = N_FILTERS - TILE * TILE
-    filters = torch.tensor(np.concatenate([haar, cosines(WINDOW)[:n_more]]), dtype=torch.float32)
+    filters = torch.tensor(
+        np.concatenate([haar, cosines(WINDOW)[:n_more]]), dtype=torch.float32
+    )
     tile = torch.tensor(haar[:, inside.reshape(-1)].T, dtype=torch.float32)
     network = {
         "filters": filters + draw(N_FILTERS, WINDOW**2, scale=0.01),
@@ -115,9 +119,15 @@ def denoise(
     k, down = windows.shape[:2]
     windows = windows.reshape(-1, WINDOW * WINDOW)
     tiles, error = gated(network, windows)
-    x = tiles.reshape(k, down, -1, TILE, TILE).transpose(2, 3).reshape(k, down * TILE, -1)
+    x = (
+        tiles.reshape(k, down, -1, TILE, TILE)
+        .transpose(2, 3)
+        .reshape(k, down * TILE, -1)
+    )
     x = x[:, row : row + SIDE, col : col + SIDE] * mask * s[:, None, None]
-    share = functional.avg_pool2d(functional.pad(mask, sides)[:, None], TILE).reshape(k, -1)
+    share = functional.avg_pool2d(functional.pad(mask, sides)[:, None], TILE).reshape(
+        k, -1
+    )
     return x, (error.reshape(k, -1) * share).sum(1) / share.sum(1)
 
 
@@ -131,7 +141,9 @@ class Drawn:
 
     def _batch(self, size: int) -> tuple[Any, Any]:
         """Presses (size, N_FRAMES, SIDE, SIDE), mirrored or transposed, and their masks."""
-        drawn = self._pool[torch.randint(len(self._pool), (size,), generator=self._generator)]
+        drawn = self._pool[
+            torch.randint(len(self._pool), (size,), generator=self._generator)
+        ]
         turn = int(self._rng.integers(8))
         drawn = drawn.flip([axis for bit, axis in ((1, -1), (2, -2)) if turn & bit])
         if turn & 4:
@@ -149,7 +161,9 @@ class Drawn:
         x = presses[:, int(self._rng.integers(N_FRAMES))]
         s = self._noise(len(x), *NOISE)
         e, error = self._errors(network, x, s, mask)
-        loss = (e + FLOOR).log().mean() + 0.3 * (error.log() + e.detach() / error).mean()
+        loss = (e + FLOOR).log().mean() + 0.3 * (
+            error.log() + e.detach() / error
+        ).mean()
         return loss, 10 * float((e.detach() + FLOOR).log10().mean())
 
     def score(self, network: Any) -> pd.DataFrame:
@@ -187,7 +201,9 @@ def trained(
         mean = 0.0
         for k in trange(n_batches, desc="tiles", leave=False):
             for group in optimiser.param_groups:
-                group["lr"] = RATE * 0.5 * (1 + math.cos(math.pi * k / n_batches)) + 1e-6
+                group["lr"] = (
+                    RATE * 0.5 * (1 + math.cos(math.pi * k / n_batches)) + 1e-6
+                )
             loss, error_db = drawn.loss(network)
             optimiser.zero_grad()
             loss.backward()
@@ -199,10 +215,12 @@ def trained(
         held_out = presses(HELD_OUT, seed + 1)
         scores = Drawn(seed + 1, held_out).score(network)
         if (shipped := stored_gates()) is not None:
-            shipped_network = {name: torch.tensor(getattr(shipped, name)) for name in network}
-            scores["error, shipped weights"] = Drawn(seed + 1, held_out).score(shipped_network)[
-                "error"
-            ]
+            shipped_network = {
+                name: torch.tensor(getattr(shipped, name)) for name in network
+            }
+            scores["error, shipped weights"] = Drawn(seed + 1, held_out).score(
+                shipped_network
+            )["error"]
         return weights(network), rows, scores
     finally:
         torch.set_num_threads(n_threads)

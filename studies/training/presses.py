@@ -44,7 +44,8 @@ def masks(rng: np.random.Generator, count: int) -> Floats:
         a = rng.uniform(4, 20, 2)
         power = rng.choice([2.0, 4.0, 64.0])
         is_taxel[k] = (
-            np.abs((row - c[0]) / a[0]) ** power + np.abs((col - c[1]) / a[1]) ** power < 1
+            np.abs((row - c[0]) / a[0]) ** power + np.abs((col - c[1]) / a[1]) ** power
+            < 1
         )
     return is_taxel
 
@@ -72,8 +73,12 @@ def _drawn(rng: np.random.Generator) -> Doubles:
         if kind > 0.97:
             forces += rng.uniform(0.02, 0.3)
     if rng.random() < 0.25:
-        grain = ndimage.gaussian_filter(rng.standard_normal((SIDE, SIDE)), rng.uniform(0, 1.5))
-        forces = forces * np.maximum(0, 1 + rng.uniform(0.05, 0.5) * grain / grain.std())
+        grain = ndimage.gaussian_filter(
+            rng.standard_normal((SIDE, SIDE)), rng.uniform(0, 1.5)
+        )
+        forces = forces * np.maximum(
+            0, 1 + rng.uniform(0.05, 0.5) * grain / grain.std()
+        )
     if rng.random() < 0.1:
         single = rng.random((SIDE, SIDE)) < rng.uniform(0.001, 0.02)
         forces = forces + single * rng.uniform(0.1, 1.0, (SIDE, SIDE)) * forces.max()
@@ -94,11 +99,18 @@ def bodies(rng: np.random.Generator) -> Doubles:
     edge = math.exp(rng.uniform(math.log(0.08), math.log(2.5)))
     pressures = np.empty((N_FRAMES, SIDE, SIDE))
     for t in range(N_FRAMES):
-        row, col = (np.arange(SIDE) + 0.5 - (c + t * v) for c, v in zip(centre, speed, strict=True))
+        row, col = (
+            np.arange(SIDE) + 0.5 - (c + t * v)
+            for c, v in zip(centre, speed, strict=True)
+        )
         phi = angle + t * turn
         along = math.cos(phi) * row[:, None] + math.sin(phi) * col
         across = -math.sin(phi) * row[:, None] + math.cos(phi) * col
-        pressures[t] = shape(along, across) if edge < 0.2 else _softened(shape(along, across), edge)
+        pressures[t] = (
+            shape(along, across)
+            if edge < 0.2
+            else _softened(shape(along, across), edge)
+        )
         pressures[t] *= np.clip(1 + tilt[0] * row[:, None] + tilt[1] * col, 0, 3)
     return np.maximum(pressures, 0)
 
@@ -114,7 +126,9 @@ def shapes(rng: np.random.Generator) -> Shape:
     which = rng.integers(8)
     if which == 0:  # a box, or a superellipse
         power = rng.choice([2.0, 4.0, 16.0])
-        return lambda x, y: _inside(1 - (np.abs(x / a) ** power + np.abs(y / b) ** power), a, b)
+        return lambda x, y: _inside(
+            1 - (np.abs(x / a) ** power + np.abs(y / b) ** power), a, b
+        )
     if which == 1:  # a frame
         wall = rng.uniform(0.6, 3.0)
 
@@ -149,7 +163,9 @@ def shapes(rng: np.random.Generator) -> Shape:
             f = f + rng_level * np.exp(-(((x - 5) / 3) ** 2) - (y / 4.5) ** 2)
             f = f + bridge * np.exp(-((x / 8) ** 2) - ((y - 2) / 2) ** 2)
             for k, level in enumerate(toes):
-                f = f + max(0.0, level) * np.exp(-((x - 11) ** 2 + (y - 3 * k + 4.5) ** 2) / 2)
+                f = f + max(0.0, level) * np.exp(
+                    -((x - 11) ** 2 + (y - 3 * k + 4.5) ** 2) / 2
+                )
             return f - 0.05
 
         rng_level = rng.uniform(0.4, 1.4)
@@ -182,14 +198,24 @@ def smooth_field(rng: np.random.Generator) -> Doubles:
     drift = rng.normal(0, 1, 2) * rng.choice([0.0, 0.1, 0.5])
     noise: Any = rng.standard_normal((SIDE + 8, SIDE + 8))
     field = ndimage.gaussian_filter(noise, scale, mode="wrap")
-    fine = ndimage.gaussian_filter(rng.standard_normal(field.shape), scale / 3, mode="wrap")
+    fine = ndimage.gaussian_filter(
+        rng.standard_normal(field.shape), scale / 3, mode="wrap"
+    )
     field = field / field.std() + rng.uniform(0, 0.5) * fine / fine.std()
-    change = ndimage.gaussian_filter(rng.standard_normal(field.shape), scale, mode="wrap")
+    change = ndimage.gaussian_filter(
+        rng.standard_normal(field.shape), scale, mode="wrap"
+    )
     change *= rng.choice([0.0, 0.03, 0.2]) / change.std()
     level = rng.uniform(-1.0, 1.2)
     shifted = [
-        ndimage.shift(field + t * change, t * drift, order=1, mode="nearest")[4:-4, 4:-4]
+        ndimage.shift(field + t * change, t * drift, order=1, mode="nearest")[
+            4:-4, 4:-4
+        ]
         for t in range(N_FRAMES)
     ]
     raised = np.maximum(0, np.array(shifted) + level)
-    return raised ** rng.choice([1.0, 1.0, 1.5, 2.0]) if rng.random() < 0.7 else np.exp(shifted)
+    return (
+        raised ** rng.choice([1.0, 1.0, 1.5, 2.0])
+        if rng.random() < 0.7
+        else np.exp(shifted)
+    )

@@ -24,13 +24,17 @@ def run(out: Path, quick: bool, seed: int, executor: str) -> list[str]:
     not installed, or a file cannot be written.
     """
     if find_spec("torch") is None:
-        raise StudyError("study train: torch is not installed: pip install 'sparseskin[train]'")
+        raise StudyError(
+            "study train: torch is not installed: pip install 'sparseskin[train]'"
+        )
     n_presses, n_batches = (400, 1500) if quick else (24_000, 42_000)
     from .network import BATCH, trained  # needs torch
 
     network, rows, scores = trained(n_presses, n_batches, seed)
     content = BytesIO()
-    halves: dict[str, Any] = {name: value.astype(np.float16) for name, value in network.items()}
+    halves: dict[str, Any] = {
+        name: value.astype(np.float16) for name, value in network.items()
+    }
     np.savez(content, **halves)
     try:
         (out / FILE).write_bytes(content.getvalue())

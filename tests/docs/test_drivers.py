@@ -91,7 +91,9 @@ def test_a_udp_skin_that_falls_silent_is_named(opened):
     skin = UdpSkin(udp_frame(1))
     source = opened("udp_skin", PORT=skin.port, SILENT_S=0.2)
     skin.stop()
-    with pytest.raises(SourceError, match=r"udp_skin:frames: the driver failed: .* no packet for"):
+    with pytest.raises(
+        SourceError, match=r"udp_skin:frames: the driver failed: .* no packet for"
+    ):
         taken(source, 10**9)
 
 
@@ -116,7 +118,8 @@ def line():
 def test_a_serial_line_becomes_frames_in_newtons(opened, line):
     skin, device = line
     writer = threading.Thread(
-        target=lambda: [os.write(skin, serial_frame(k)) for k in (51, 102, 255)], daemon=True
+        target=lambda: [os.write(skin, serial_frame(k)) for k in (51, 102, 255)],
+        daemon=True,
     )
     writer.start()
     source = opened("serial_skin", DEVICE=device)
@@ -130,9 +133,19 @@ def test_garbage_between_the_frames_of_a_serial_line_is_counted(opened, line, ca
     skin, device = line
     cut = serial_frame(9)[:200]  # as after an overrun: the rest never came
     wrong = serial_frame(9)[:-1] + b"\0"
-    parts = [b"\xaa", b"\x55\xaa" * 9, cut, serial_frame(51), wrong, b"\x01\x02", serial_frame(102)]
+    parts = [
+        b"\xaa",
+        b"\x55\xaa" * 9,
+        cut,
+        serial_frame(51),
+        wrong,
+        b"\x01\x02",
+        serial_frame(102),
+    ]
     parts += [serial_frame(255)] * 2
-    writer = threading.Thread(target=lambda: [os.write(skin, p) for p in parts], daemon=True)
+    writer = threading.Thread(
+        target=lambda: [os.write(skin, p) for p in parts], daemon=True
+    )
     writer.start()
     frames = taken(opened("serial_skin", DEVICE=device), 4)
     writer.join()
@@ -152,7 +165,9 @@ def test_skins_that_fall_silent_or_are_not_there_are_named(opened, line):
 
 
 def test_taxels_that_the_glove_of_wuji_lacks_are_masked(monkeypatch):
-    pressure = np.where(np.arange(768).reshape(24, 32) % 5, 0.5, np.nan).astype(np.float32)
+    pressure = np.where(np.arange(768).reshape(24, 32) % 5, 0.5, np.nan).astype(
+        np.float32
+    )
 
     class Glove:  # the part of `wujihandpy` that the driver uses
         def __enter__(self):

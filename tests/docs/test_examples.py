@@ -19,7 +19,13 @@ DRIVERS = {"serial_skin", "udp_skin", "wuji_glove"}
 #: Run below, as a job of several processes.
 JOBS = {"mpi_pool", "dask_pool"}
 WITH_PICTURE = {"first_contact", "your_own_skin", "choosing_m", "calibrate"}
-SLOW = WITH_PICTURE | {"recogniser", "run_graph", "own_solver", "noise_around_zero", "mujoco_skin"}
+SLOW = WITH_PICTURE | {
+    "recogniser",
+    "run_graph",
+    "own_solver",
+    "noise_around_zero",
+    "mujoco_skin",
+}
 ARGUMENTS = {"board_emulator": ["--frames", "3"]}
 #: What each prints on its page (make gallery).
 PRINTED = tomllib.loads((EXAMPLES.parent / "docs/reference/examples.toml").read_text())
@@ -28,8 +34,13 @@ NEEDS = {"mujoco_skin": "mujoco", "recogniser": "sklearn"}
 
 
 def names():
-    found = sorted(path.stem for path in EXAMPLES.glob("*.py") if path.stem not in DRIVERS | JOBS)
-    return [pytest.param(name, marks=pytest.mark.slow if name in SLOW else []) for name in found]
+    found = sorted(
+        path.stem for path in EXAMPLES.glob("*.py") if path.stem not in DRIVERS | JOBS
+    )
+    return [
+        pytest.param(name, marks=pytest.mark.slow if name in SLOW else [])
+        for name in found
+    ]
 
 
 def run(name, folder, monkeypatch, *arguments):
@@ -49,7 +60,10 @@ def test_an_example_runs_and_prints_its_result(name, tmp_path, monkeypatch, caps
     run(name, tmp_path, monkeypatch, *arguments)
     printed = capsys.readouterr().out
     # Its page is of this example: the last lines differ in numbers at most.
-    last = {re.sub(r"[-\d.]+", "#", text.splitlines()[-1]) for text in (printed, PRINTED[name])}
+    last = {
+        re.sub(r"[-\d.]+", "#", text.splitlines()[-1])
+        for text in (printed, PRINTED[name])
+    }
     assert len(last) == 1
     if name in WITH_PICTURE:
         assert (tmp_path / "out.png").read_bytes().startswith(b"\x89PNG")
@@ -60,7 +74,9 @@ def test_the_notebook_runs_from_a_csv_to_the_error_over_m(tmp_path, monkeypatch)
     matplotlib = pytest.importorskip("matplotlib")
     matplotlib.use("Agg")
     monkeypatch.chdir(tmp_path)
-    cells = json.loads((EXAMPLES / "choose_m_from_csv.ipynb").read_text(encoding="utf-8"))["cells"]
+    cells = json.loads(
+        (EXAMPLES / "choose_m_from_csv.ipynb").read_text(encoding="utf-8")
+    )["cells"]
     codes = ["".join(cell["source"]) for cell in cells if cell["cell_type"] == "code"]
     # Outputs are not stored.
     assert not any(cell.get("outputs") for cell in cells)
@@ -81,12 +97,19 @@ def test_each_example_begins_with_a_line_on_what_it_shows():
 @pytest.mark.slow
 def test_tasks_are_shared_by_the_processes_of_an_mpi_job(tmp_path):
     pytest.importorskip("mpi4py")
-    mpiexec = shutil.which("mpiexec", path=f"{Path(sys.executable).parent}:{os.environ['PATH']}")
-    if mpiexec is None or subprocess.run([sys.executable, "-c", "import mpi4py.MPI"]).returncode:
+    mpiexec = shutil.which(
+        "mpiexec", path=f"{Path(sys.executable).parent}:{os.environ['PATH']}"
+    )
+    if (
+        mpiexec is None
+        or subprocess.run([sys.executable, "-c", "import mpi4py.MPI"]).returncode
+    ):
         pytest.skip("needs an MPI library and its mpiexec")
     job = [mpiexec, "-n", "3", sys.executable, "-m", "mpi4py.futures"]
     shutil.copy(EXAMPLES / "mpi_pool.py", tmp_path)
-    done = subprocess.run([*job, "mpi_pool.py"], cwd=tmp_path, capture_output=True, text=True)
+    done = subprocess.run(
+        [*job, "mpi_pool.py"], cwd=tmp_path, capture_output=True, text=True
+    )
     assert done.stdout.startswith("8 tasks on processes [1"), done.stderr
     assert "0" not in done.stdout.partition("[")[2].partition("]")[0]
 
@@ -106,7 +129,16 @@ def site(tmp_path_factory):
     pytest.importorskip("mkdocstrings")
     folder = tmp_path_factory.mktemp("site")
     done = subprocess.run(
-        [sys.executable, "-m", "mkdocs", "build", "--quiet", "--strict", "--site-dir", folder],
+        [
+            sys.executable,
+            "-m",
+            "mkdocs",
+            "build",
+            "--quiet",
+            "--strict",
+            "--site-dir",
+            folder,
+        ],
         cwd=ROOT,
         env={**os.environ, "NO_MKDOCS_2_WARNING": "1"},
         capture_output=True,
@@ -120,10 +152,14 @@ def site(tmp_path_factory):
 @pytest.mark.slow
 def test_the_site_needs_no_other_host_and_has_no_formula_as_text(site):
     pages = list(site.rglob("*.html"))
-    assert {"index.html", "paper.html", "api.html", "contributing.html"} <= {p.name for p in pages}
+    assert {"index.html", "paper.html", "api.html", "contributing.html"} <= {
+        p.name for p in pages
+    }
     for page in pages:
         text = page.read_text(encoding="utf-8")
-        loaded = re.findall(r"<(?:script|img|link|iframe)[^>]*?(?:src|href)=\"?([^\s\">]+)", text)
+        loaded = re.findall(
+            r"<(?:script|img|link|iframe)[^>]*?(?:src|href)=\"?([^\s\">]+)", text
+        )
         assert not [url for url in loaded if re.match(r"(https?:)?//", url)], page.name
         if page.parent.name == "explanation":
             text = re.sub(r"<(pre|code|script|style).*?</\1>", "", text, flags=re.S)

@@ -54,8 +54,13 @@ def works(phi, solver, feature=""):
         made = [skin, *edge.step(skin)]
         rng = np.random.default_rng(0)
         for k in range(2):
-            forces = rng.random((max(1, len(names)), *SHAPE), dtype=np.float32) * skin.skin.exists
-            made += edge.step(Taxels(**{**of_skin, "stamp_ns": k + 2}, names=names, forces=forces))
+            forces = (
+                rng.random((max(1, len(names)), *SHAPE), dtype=np.float32)
+                * skin.skin.exists
+            )
+            made += edge.step(
+                Taxels(**{**of_skin, "stamp_ns": k + 2}, names=names, forces=forces)
+            )
         for message in made:
             found += host.step(message)
     except SparseskinError:
@@ -72,12 +77,20 @@ def test_the_table_of_features_is_what_the_nodes_do():
     rows = []
     for phi in PHIS:
         marks = {
-            solver: tuple("yes" if works(phi, solver, one) else "no" for one in FEATURES)
+            solver: tuple(
+                "yes" if works(phi, solver, one) else "no" for one in FEATURES
+            )
             for solver in SOLVERS
             if works(phi, solver)
         }
         for cells, group in itertools.groupby(marks, key=marks.__getitem__):
-            rows.append(" | ".join((f"| `{phi}`", ", ".join(f"`{s}`" for s in group), *cells)))
+            rows.append(
+                " | ".join((f"| `{phi}`", ", ".join(f"`{s}`" for s in group), *cells))
+            )
     head = " | ".join(("| phi | solver", *FEATURES)) + " |"
-    table = [head, "| --- " * head.count(" | ") + "| --- |", *(f"{row} |" for row in rows)]
+    table = [
+        head,
+        "| --- " * head.count(" | ") + "| --- |",
+        *(f"{row} |" for row in rows),
+    ]
     assert "\n".join(table) in PAGE.read_text(encoding="utf-8")

@@ -17,10 +17,16 @@ from sparseskin.launch.commands import cli
 from sparseskin.nodes.monitor.node import MonitorSettings
 
 ROOT = Path(__file__).parents[2]
-PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").rglob("*.md"))]
+PAGES = [
+    ROOT / "README.md",
+    ROOT / "CONTRIBUTING.md",
+    *sorted((ROOT / "docs").rglob("*.md")),
+]
 FENCED = re.compile(r"^```(\w*)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 INDENTED = re.compile(r"^    (\S.*)$", re.MULTILINE)
-INLINE = re.compile(r"`(?:\.venv/bin/)?((?:sparseskin|make|python|pytest|pip) [^`\n]+)`")
+INLINE = re.compile(
+    r"`(?:\.venv/bin/)?((?:sparseskin|make|python|pytest|pip) [^`\n]+)`"
+)
 #: Programs of the host, and words of the shell, that are not run here.
 OTHERS = {"ssh", "source", "cd", "git", "docker", "."}
 #: Commands that need no running graph and take a moment: these are run.
@@ -80,8 +86,12 @@ def workplace(tmp_path, monkeypatch):
     np.savez(tmp_path / "simulated.npz", forces=frame[None])
     places = [f"{4 * k},{4 * i},0" for i in range(8) for k in range(10)]
     (tmp_path / "hand.csv").write_text("\n".join(["x_mm,y_mm,z_mm", *places]))
-    (tmp_path / "my_robot.py").write_text("def pad():\n    yield 0, [[0.5] * 32] * 12\n")
-    (tmp_path / "my_skin.py").write_text("def frames():\n    yield 0, [[0.5] * 32] * 12\n")
+    (tmp_path / "my_robot.py").write_text(
+        "def pad():\n    yield 0, [[0.5] * 32] * 12\n"
+    )
+    (tmp_path / "my_skin.py").write_text(
+        "def frames():\n    yield 0, [[0.5] * 32] * 12\n"
+    )
     return tmp_path
 
 
@@ -94,7 +104,9 @@ def bag(tmp_path_factory):
     return path
 
 
-@pytest.mark.parametrize("page", [p for p in PAGES if fenced(p, "python")], ids=page_ids)
+@pytest.mark.parametrize(
+    "page", [p for p in PAGES if fenced(p, "python")], ids=page_ids
+)
 def test_python_blocks_of_a_page_run_one_after_the_other(page, workplace):
     names = {"__name__": "__main__"}
     for number, block in enumerate(fenced(page, "python"), 1):
@@ -107,7 +119,9 @@ def test_python_blocks_of_a_page_run_one_after_the_other(page, workplace):
 
 
 def test_the_driver_of_the_pages_delivers_frames(workplace):
-    (block,) = (b for b in fenced(ROOT / "docs/howto/drivers.md", "python") if "my_skin.py" in b)
+    (block,) = (
+        b for b in fenced(ROOT / "docs/howto/drivers.md", "python") if "my_skin.py" in b
+    )
     (workplace / "my_skin.py").write_text(block, encoding="utf-8")
     frames = sparseskin.run_launch("replay", 3, ["sensor.source=my_skin:frames"])
     assert [frame.taxels.shape for frame in frames] == [(12, 32)] * 3
@@ -153,11 +167,17 @@ def runnable(arguments):
 
 
 def test_targets_scripts_tests_and_extras_of_the_pages_are_there():
-    targets = {word for words in stated("make") for word in words[1:] if "=" not in word}
-    done = subprocess.run(["make", "-n", *targets], cwd=ROOT, capture_output=True, check=False)
+    targets = {
+        word for words in stated("make") for word in words[1:] if "=" not in word
+    }
+    done = subprocess.run(
+        ["make", "-n", *targets], cwd=ROOT, capture_output=True, check=False
+    )
     assert done.returncode == 0, done.stderr
     for words in [*stated("python"), *stated("pytest")]:
-        target = next(word for word in words[1:] if "/" in word or not word.startswith("-"))
+        target = next(
+            word for word in words[1:] if "/" in word or not word.startswith("-")
+        )
         if words[1:3] == ["-m", "pytest"]:
             target = words[-1]
         if words[1] == "-m" and words[2] != "pytest":
@@ -169,7 +189,9 @@ def test_targets_scripts_tests_and_extras_of_the_pages_are_there():
         for extras in re.findall(r"\.\[([\w,]+)\]", " ".join(words)):
             assert set(extras.split(",")) <= known
     known = {"sparseskin", "make", "python", "pip", *OTHERS}
-    for first in {words[0] for page in PAGES for words in commands(page, INDENTED)} - known:
+    for first in {
+        words[0] for page in PAGES for words in commands(page, INDENTED)
+    } - known:
         assert (ROOT / first).exists(), first
 
 
@@ -191,9 +213,13 @@ FORMER = {"docs/examples/"}
 
 
 def test_every_path_of_a_page_is_there():
-    modules = {path.stem for top in TOP.split("|") for path in (ROOT / top).rglob("*.py")}
+    modules = {
+        path.stem for top in TOP.split("|") for path in (ROOT / top).rglob("*.py")
+    }
     for page, text in TEXTS.items():
-        missing = [p for p in PATH.findall(text) if p not in FORMER and not (ROOT / p).exists()]
+        missing = [
+            p for p in PATH.findall(text) if p not in FORMER and not (ROOT / p).exists()
+        ]
         missing += [
             f"{folder}{name}.py"
             for folder, name in MODULE.findall(text)
@@ -213,7 +239,9 @@ def test_every_module_and_name_of_a_page_can_be_found():
             top = ROOT / "src" / "sparseskin" / "__init__.py"
             source = base.with_suffix(".py") if parts else top
             if source.is_file():
-                assert re.search(rf"\b{attribute}\b", source.read_text(encoding="utf-8")), dotted
+                assert re.search(
+                    rf"\b{attribute}\b", source.read_text(encoding="utf-8")
+                ), dotted
                 break
         else:
             assert parts, dotted
@@ -228,27 +256,38 @@ def test_every_test_and_link_of_a_page_is_there_no_path_of_a_machine_and_the_ver
     tests = {path.name for path in (ROOT / "tests").rglob("test_*.py")}
     for page, text in TEXTS.items():
         assert set(TEST.findall(text)) <= tests, page
-        missing = [link for link in LINK.findall(text) if not (page.parent / link).exists()]
+        missing = [
+            link for link in LINK.findall(text) if not (page.parent / link).exists()
+        ]
         assert not missing, page
         assert not re.search(r"(?<![\w.])/(home|root|work|tmp|Users)/", text), page
     citation = (ROOT / "CITATION.cff").read_text(encoding="utf-8")
-    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))[
+        "project"
+    ]
     assert f"\nversion: {project['version']}\n" in citation
 
 
 def test_every_picture_has_the_command_that_makes_it_beside_it():
-    command = re.compile(r"(?:`|^ {4})(sparseskin|make|python|\.venv/bin/python) ", re.M)
+    command = re.compile(
+        r"(?:`|^ {4})(sparseskin|make|python|\.venv/bin/python) ", re.M
+    )
     for page, text in TEXTS.items():
         lines = [line for line in text.splitlines() if line]
         for k, line in enumerate(lines):
             by_hand = "data_flow.svg" in line or "skin_state.svg" in line
             if line.startswith("![") and not by_hand:
-                assert command.search("\n".join(lines[max(0, k - 2) : k + 8])), (page, line)
+                assert command.search("\n".join(lines[max(0, k - 2) : k + 8])), (
+                    page,
+                    line,
+                )
 
 
 def test_the_container_starts_a_graph_and_forwards_the_port_of_its_page():
     text = (ROOT / "Dockerfile").read_text().replace("\\\n", " ")
-    forwards, launches = re.fullmatch(r"(.*) & +exec (.*)\n", text.rpartition("CMD ")[2]).groups()
+    forwards, launches = re.fullmatch(
+        r"(.*) & +exec (.*)\n", text.rpartition("CMD ")[2]
+    ).groups()
     port = str(MonitorSettings().port)
     assert f"TCP:127.0.0.1:{port}" in shlex.split(forwards)
     assert f"EXPOSE {port}\n" in text

@@ -58,7 +58,9 @@ def payload(description, *rest):
 
 
 def taxels(value=1.0, shape=(2, 3)):
-    return Taxels(stamp_ns=7, patch="skin", forces=np.full(shape, value, dtype=np.float32))
+    return Taxels(
+        stamp_ns=7, patch="skin", forces=np.full(shape, value, dtype=np.float32)
+    )
 
 
 @given(messages.filter(lambda m: is_frame(type(m))))
@@ -66,7 +68,11 @@ def test_arrays_are_aligned_views_of_the_buffer_and_not_written_to(message):
     buffer = wire_bytes(message)
     found = decode(*received(buffer))
     for value in vars(found).values():
-        if isinstance(value, np.ndarray) and not isinstance(value, Quantised) and value.size:
+        if (
+            isinstance(value, np.ndarray)
+            and not isinstance(value, Quantised)
+            and value.size
+        ):
             assert np.shares_memory(value, np.frombuffer(buffer, np.uint8))
             assert value.ctypes.data % ALIGNMENT == 0
             assert not value.flags.writeable
@@ -180,7 +186,11 @@ def reconstructed(*unchanged, **changes):
     left_out = np.array(unchanged or [False] * 3)
     fields = {
         **{"forces": MAPS[~left_out], "phi": "0" * 16, "done_ns": 9, "skipped": 2},
-        **{"iterations": (4, 3, 2), "residual": (0.5, 0.25, 0.0), "solve_ns": (7, 8, 9)},
+        **{
+            "iterations": (4, 3, 2),
+            "residual": (0.5, 0.25, 0.0),
+            "solve_ns": (7, 8, 9),
+        },
         **{"error": (None, 0.25, None), "unchanged": unchanged},
     }
     return Reconstruction(**{**HEAD, **fields, **changes})
@@ -193,7 +203,9 @@ def test_a_message_is_split_into_those_of_its_patches():
         reconstructed(),
     ):
         parts = message.split()
-        assert [(part.patch, part.names) for part in parts] == [(name, ()) for name in NAMES]
+        assert [(part.patch, part.names) for part in parts] == [
+            (name, ()) for name in NAMES
+        ]
         for k, part in enumerate(parts):
             for name in of_patches(type(message)):
                 if (whole := getattr(message, name)) is not None:
@@ -219,7 +231,9 @@ def test_forces_of_an_unchanged_patch_are_not_sent_and_are_those_of_its_last_fra
     now = reconstructed(False, True, False)
     assert len(now.forces) == 2
     parts = now.split(held)
-    assert [part.forces.tobytes() for part in parts] == [one.forces.tobytes() for one in before]
+    assert [part.forces.tobytes() for part in parts] == [
+        one.forces.tobytes() for one in before
+    ]
     assert [part.unchanged for part in parts] == [(False,), (True,), (False,)]
     # A reader that came later has not seen them.
     assert [part.patch for part in now.split()] == ["hand", "back"]
@@ -263,7 +277,10 @@ def test_something_of_each_patch_is_needed(changes, error, line):
 
 def test_places_are_those_of_one_patch():
     made = {"phi": "0" * 16, "places": np.array([0b11000000], np.uint8)}
-    assert Measurements(stamp_ns=1, patch="arm", y=MAPS[0, 0, :2], **made).places is not None
+    assert (
+        Measurements(stamp_ns=1, patch="arm", y=MAPS[0, 0, :2], **made).places
+        is not None
+    )
     with pytest.raises(FieldError, match="of one patch"):
         Measurements(**HEAD, y=MAPS[:, 0, :2], **made)
 
@@ -277,7 +294,9 @@ def frame(m, seed):
 
 
 @given(bits=st.integers(4, 16), m=st.integers(1, 300), seed=st.integers(0, 99))
-def test_no_measurement_is_off_by_more_than_half_a_step_and_none_is_clipped(bits, m, seed):
+def test_no_measurement_is_off_by_more_than_half_a_step_and_none_is_clipped(
+    bits, m, seed
+):
     y = frame(m, seed)
     rounded = quantised(y, bits)
     step = float(np.abs(y).max()) / (2 ** (bits - 1) - 1)

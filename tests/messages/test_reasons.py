@@ -6,7 +6,12 @@ import pytest
 from bags import frame
 
 from sparseskin.messages import Reason, Reconstruction, decode, encode
-from sparseskin.messages.reasons import OF_MEASUREMENTS, first_reason, phrase_of, sentence_of
+from sparseskin.messages.reasons import (
+    OF_MEASUREMENTS,
+    first_reason,
+    phrase_of,
+    sentence_of,
+)
 
 
 @pytest.mark.parametrize("reason", Reason)
@@ -24,7 +29,9 @@ def test_no_two_reasons_share_their_text():
 
 @pytest.mark.parametrize("word", ["uniform", "new", *Reason])
 def test_a_message_holds_any_reason_even_one_of_another_version(word):
-    sent = Reconstruction(**frame(0)[-1].__dict__ | {"trusted": (False,), "reason": (word,)})
+    sent = Reconstruction(
+        **frame(0)[-1].__dict__ | {"trusted": (False,), "reason": (word,)}
+    )
     received = decode(*encode(sent.published("0" * 16, 0)))
     assert received.reason == (word,)
 
@@ -36,7 +43,9 @@ def test_the_text_of_an_unknown_reason_names_it():
 
 @pytest.mark.parametrize("of_readings", ["", *Reason])
 @pytest.mark.parametrize("of_frame", ["", *Reason])
-def test_a_frame_that_holds_nothing_says_so_and_else_the_sensor_comes_first(of_frame, of_readings):
+def test_a_frame_that_holds_nothing_says_so_and_else_the_sensor_comes_first(
+    of_frame, of_readings
+):
     reason = first_reason(of_frame, of_readings)
     if of_frame in OF_MEASUREMENTS or not of_readings:
         assert reason == of_frame

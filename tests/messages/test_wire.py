@@ -92,7 +92,11 @@ def test_mutated_bytes_decode_or_raise_a_message_error(form, message, data):
         decode(topic, bytes(mutated))
 
 
-@given(st.sampled_from((b"", bytes([MARK]))), st.binary(max_size=400), st.binary(max_size=200))
+@given(
+    st.sampled_from((b"", bytes([MARK]))),
+    st.binary(max_size=400),
+    st.binary(max_size=200),
+)
 def test_random_bytes_raise_a_message_error(begin, topic, payload):
     for place in (topic, b"/skin/taxels"):
         with pytest.raises(MessageError):
@@ -108,7 +112,9 @@ def test_messages_are_immutable_and_compare_by_value():
     assert message != Truth(stamp_ns=7, patch="skin", forces=message.forces)
 
 
-@given(st.integers(0, 2**62), st.sampled_from([math.nan, math.inf, -math.inf]), st.data())
+@given(
+    st.integers(0, 2**62), st.sampled_from([math.nan, math.inf, -math.inf]), st.data()
+)
 def test_a_following_message_is_the_one_that_is_made_anew_and_its_arrays_are_checked(
     stamp_ns, bad, data
 ):
@@ -117,7 +123,9 @@ def test_a_following_message_is_the_one_that_is_made_anew_and_its_arrays_are_che
     expected = Taxels(stamp_ns=stamp_ns, patch="skin", forces=forces)
     assert first.following(stamp_ns=stamp_ns, forces=forces) == expected
     by_columns = np.asfortranarray(forces)
-    assert encode(first.following(stamp_ns=stamp_ns, forces=by_columns)) == encode(expected)
+    assert encode(first.following(stamp_ns=stamp_ns, forces=by_columns)) == encode(
+        expected
+    )
 
     forces[data.draw(st.integers(0, 2)), data.draw(st.integers(0, 3))] = bad
     with pytest.raises(NotFiniteError):
@@ -176,7 +184,15 @@ def test_wrong_fields_are_refused(change, error):
 
 
 def test_a_field_that_an_older_message_has_not_is_its_default_and_costs_no_bytes():
-    told = {"stamp_ns": 1, "patch": "skin", "kind": "sbhe", "n": 9, "m": 3, "block": 8, "seed": 0}
+    told = {
+        "stamp_ns": 1,
+        "patch": "skin",
+        "kind": "sbhe",
+        "n": 9,
+        "m": 3,
+        "block": 8,
+        "seed": 0,
+    }
     fixed = PhiState(**told, fingerprint="0" * 16)
     assert "rows" not in body_of(fixed)
     assert decode(*encode(fixed)).rows == "fixed"
@@ -265,10 +281,14 @@ def test_a_mask_must_fit_the_grid_and_hold_booleans():
 
 
 def on_points(points, mask=None):
-    numbers = dict.fromkeys(("stamp_ns", "seed", "rate_hz", "sigma_mid", "sigma_end"), 0)
+    numbers = dict.fromkeys(
+        ("stamp_ns", "seed", "rate_hz", "sigma_mid", "sigma_end"), 0
+    )
     grid = {"n_rows": 2, "n_cols": 2, "f_max": 2.5, "unit": "N", "pitch_m": 0.01}
     texts = {"patch": "skin", "source": "test"}
-    return SkinState(**numbers, **grid, **texts, has_truth=False, mask=mask, points=points)
+    return SkinState(
+        **numbers, **grid, **texts, has_truth=False, mask=mask, points=points
+    )
 
 
 def test_points_are_those_of_the_cells_that_exist():

@@ -9,7 +9,14 @@ import pytest
 from bags import chain
 from damaged import refusal
 
-from sparseskin.messages import End, Measurements, PhiState, Reconstruction, Taxels, Truth
+from sparseskin.messages import (
+    End,
+    Measurements,
+    PhiState,
+    Reconstruction,
+    Taxels,
+    Truth,
+)
 from sparseskin.messages.frames import Frames
 from sparseskin.nodes.clock import ManualClock
 from sparseskin.nodes.compressor.node import Compressor
@@ -41,7 +48,9 @@ def test_a_frame_passes_all_stations_with_one_stamp():
 
 
 def test_stamps_differ_on_a_clock_that_stands_still_and_a_source_ends_every_stream():
-    stamps = [messages[0].stamp_ns for messages in graph(clock=ManualClock(7)).frames(4)]
+    stamps = [
+        messages[0].stamp_ns for messages in graph(clock=ManualClock(7)).frames(4)
+    ]
     assert stamps == [7, 8, 9, 10]
     bus = graph("lift_box_40", preset="paper", iterations=1)
     kinds = Counter(type(m) for messages in bus.frames() for m in messages)
@@ -54,12 +63,16 @@ def test_messages_that_do_not_fit_the_skin_or_the_phi_are_refused_by_name():
     bus = graph()
     measured = [m for m in next(bus.frames(1)) if isinstance(m, Measurements)]
     other = replace(measured[0], phi="0" * 16)
-    shown = refusal(lambda: list(bus.hosts["reconstructor"].node.step(other)), RefusedError)
+    shown = refusal(
+        lambda: list(bus.hosts["reconstructor"].node.step(other)), RefusedError
+    )
     assert f"made by Phi {other.phi}, this reconstructor inverts Phi " in shown
     assert shown.endswith("and 2 other row subsets")
     bus = graph()
     host = bus.hosts["compressor"]
-    wrong = Taxels(stamp_ns=0, patch="skin", run_id="f" * 16, forces=np.ones((40, 39), np.float32))
+    wrong = Taxels(
+        stamp_ns=0, patch="skin", run_id="f" * 16, forces=np.ones((40, 39), np.float32)
+    )
     assert list(host.receive(wrong)) == []
     assert "forces of shape (40, 39), but the skin has (40, 40)" in bus.lines[-1]
 
@@ -67,7 +80,14 @@ def test_messages_that_do_not_fit_the_skin_or_the_phi_are_refused_by_name():
 def test_an_announced_phi_is_proved_by_its_fingerprint():
     bus = graph()
     host = bus.hosts["reconstructor"]
-    fields = {"run_id": "f" * 16, "kind": "sbhe", "n": 1600, "m": 533, "block": 32, "seed": 1}
+    fields = {
+        "run_id": "f" * 16,
+        "kind": "sbhe",
+        "n": 1600,
+        "m": 533,
+        "block": 32,
+        "seed": 1,
+    }
     announced = PhiState(stamp_ns=0, patch="skin", fingerprint="0" * 16, **fields)
     assert list(host.receive(announced)) == []
     assert "its program differs" in bus.lines[-1]
@@ -101,17 +121,24 @@ def context(log=lambda line: None):
 def patches_of(**reconstructor):
     monitor = {"patches": (), "batches": {"body": NAMES}}
     return chain(
-        sensor=SENSOR, compressor=BATCH, reconstructor=BATCH | reconstructor, monitor=monitor
+        sensor=SENSOR,
+        compressor=BATCH,
+        reconstructor=BATCH | reconstructor,
+        monitor=monitor,
     )
 
 
 def test_several_patches_have_the_same_bits_as_one_by_one():
     bus = patches_of(skip_idle=False, iterations=8)
-    batches = [{m.schema: m for m in sent if isinstance(m, Frames)} for sent in bus.frames(30)]
+    batches = [
+        {m.schema: m for m in sent if isinstance(m, Frames)} for sent in bus.frames(30)
+    ]
     (skin,) = Sensor(Sensor.Settings(**SENSOR), context()).start()
     for k, name in enumerate(NAMES):
         compressor = Compressor(Compressor.Settings(patch=name), context())
-        single = Reconstructor(Reconstructor.Settings(patch=name, iterations=8), context())
+        single = Reconstructor(
+            Reconstructor.Settings(patch=name, iterations=8), context()
+        )
         (phi,) = compressor.step(replace(skin, patch=name))
         assert isinstance(phi, PhiState)
         list(single.step(replace(skin, patch=name)))
@@ -121,7 +148,9 @@ def test_several_patches_have_the_same_bits_as_one_by_one():
             (y,) = compressor.step(batch["taxels"].split()[k])
             assert y == replace(batch["measurements"].split()[k], run_id="", seq=0)
             (found,) = single.step(y)
-            same = next(p for p in batch["reconstruction"].split(held) if p.patch == name)
+            same = next(
+                p for p in batch["reconstruction"].split(held) if p.patch == name
+            )
             assert found.forces.tobytes() == same.forces.tobytes()
             assert (found.phi, found.iterations) == (same.phi, same.iterations)
     patches = bus.reports()["monitor"]["patches"]
@@ -173,8 +202,16 @@ def test_frames_that_newer_ones_overtook_are_counted_for_each_patch():
             {"patches": [], "skip_idle": True, "uncertainty": True},
             "uncertainty: is not",
         ),
-        (Sensor, WALK | {"simulated": {"n_rows": 1024, "n_cols": 1024}}, "at most 1048576 cells"),
-        (Sensor, WALK | {"simulated": SKIN | {"mask": ["01"]}}, "source: simulated: mask"),
+        (
+            Sensor,
+            WALK | {"simulated": {"n_rows": 1024, "n_cols": 1024}},
+            "at most 1048576 cells",
+        ),
+        (
+            Sensor,
+            WALK | {"simulated": SKIN | {"mask": ["01"]}},
+            "source: simulated: mask",
+        ),
         (
             Sensor,
             {"source": "sparseskin.studies.looped:path_40"},
@@ -196,7 +233,8 @@ def test_masks_and_noise_of_a_simulated_skin_are_those_stated():
         for message in sensor.acquire(Tick(k + 1, k)):
             assert not message.forces[:, 7].any()
     sensor = Sensor(
-        Sensor.Settings(**SENSOR | {"simulated": SKIN | {"noise": 0.02}}, noise=2.0), context()
+        Sensor.Settings(**SENSOR | {"simulated": SKIN | {"noise": 0.02}}, noise=2.0),
+        context(),
     )
     (skin,) = sensor.start()
     assert (skin.sigma_end, skin.sigma_mid) == (0.04, 0.04)

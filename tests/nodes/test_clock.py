@@ -11,7 +11,12 @@ from hypothesis import strategies as st
 from scipy.optimize import linprog
 
 from sparseskin.nodes import clock as clock_module
-from sparseskin.nodes.clock import DRIFT_PPM, MAX_CONTRADICTIONS, ClockOffset, SystemClock
+from sparseskin.nodes.clock import (
+    DRIFT_PPM,
+    MAX_CONTRADICTIONS,
+    ClockOffset,
+    SystemClock,
+)
 from sparseskin.nodes.sensor.device_clock import DeviceClock, line_below
 
 MS = 1_000_000
@@ -36,9 +41,13 @@ def test_the_system_clock_is_the_monotonic_one_moved(monkeypatch, offset_ns, now
 
 @given(
     offset_ns=st.integers(-(10**18), 10**18),
-    delays=st.lists(st.tuples(st.integers(0, S), st.integers(0, S)), min_size=1, max_size=100),
+    delays=st.lists(
+        st.tuples(st.integers(0, S), st.integers(0, S)), min_size=1, max_size=100
+    ),
 )
-def test_the_true_offset_lies_within_the_uncertainty_however_unequal_the_delays(offset_ns, delays):
+def test_the_true_offset_lies_within_the_uncertainty_however_unequal_the_delays(
+    offset_ns, delays
+):
     clock = ClockOffset()
     now_ns = 0
     for there_ns, back_ns in delays:
@@ -60,7 +69,9 @@ def test_a_drifting_clock_stays_within_the_uncertainty(ppm, seconds):
 
 
 @pytest.mark.parametrize(("apart_ns", "used"), [(0, True), (1, False)])
-def test_an_exchange_contradicts_the_others_if_their_intervals_do_not_touch(apart_ns, used):
+def test_an_exchange_contradicts_the_others_if_their_intervals_do_not_touch(
+    apart_ns, used
+):
     clock = ClockOffset()
     exchange(clock, 0, 0, MS, MS)
     found = clock.estimate(2 * MS)
@@ -71,13 +82,17 @@ def test_a_clock_that_was_set_is_estimated_anew_and_times_that_run_backwards_are
     clock = ClockOffset()
     for k in range(10):
         exchange(clock, k * S, 3 * S, MS, MS)
-    used = [exchange(clock, (10 + k) * S, 9 * S, MS, MS) for k in range(MAX_CONTRADICTIONS)]
+    used = [
+        exchange(clock, (10 + k) * S, 9 * S, MS, MS) for k in range(MAX_CONTRADICTIONS)
+    ]
     assert used == [False] * (MAX_CONTRADICTIONS - 1) + [True]
     assert clock.estimate(13 * S).offset_ns == 9 * S
     clock = ClockOffset()
     assert not clock.add(100, 200, 300, 99)  # the answer before the question
     assert not clock.add(100, 300, 200, 400)  # sent before it arrived
-    assert not clock.add(100, 200, 900, 400)  # held for longer than the whole exchange took
+    assert not clock.add(
+        100, 200, 900, 400
+    )  # held for longer than the whole exchange took
     assert clock.estimate(500) is None
 
 
@@ -87,7 +102,10 @@ WITHIN = MS // 2
 """True time, arrival, and time of a frame, nanoseconds."""
 
 
-@given(heights=st.lists(st.integers(0, 10**6), min_size=2, max_size=64), slope=st.floats(-1, 1))
+@given(
+    heights=st.lists(st.integers(0, 10**6), min_size=2, max_size=64),
+    slope=st.floats(-1, 1),
+)
 def test_the_line_is_that_of_the_linear_program(heights, slope):
     points = [(1e6 * k, slope * 1e6 * k + h) for k, h in enumerate(heights)]
     found = line_below(points)
@@ -96,7 +114,9 @@ def test_the_line_is_that_of_the_linear_program(heights, slope):
     x, y = np.array(points).T / 1e6
     left = y - (y0 / 1e6 + b * (x - x0 / 1e6))
     assert left.min() >= -1e-9
-    best = linprog([-len(x), -x.sum()], np.c_[np.ones(len(x)), x], y, bounds=(None, None))
+    best = linprog(
+        [-len(x), -x.sum()], np.c_[np.ones(len(x)), x], y, bounds=(None, None)
+    )
     assert left.sum() == pytest.approx(y.sum() + best.fun, abs=1e-6)
 
 
@@ -144,7 +164,9 @@ def test_a_frame_soon_has_its_true_time(ppm, bits, tick_ns, first, rate_hz, seed
     state = clock.state()
     assert (state["clock"], state["clock_restarts"]) == ("source", 0)
     tick_ppm = tick_ns / (10 * S) * 1e6
-    assert abs(state["clock_drift_ppm"] - ppm) < 3 * state["clock_drift_sd_ppm"] + tick_ppm
+    assert (
+        abs(state["clock_drift_ppm"] - ppm) < 3 * state["clock_drift_sd_ppm"] + tick_ppm
+    )
     # 1.44 ms is the standard deviation of a uniform delay; frames that overtake none have less.
     assert 4 * state["clock_jitter_after_ms"] < state["clock_jitter_before_ms"] < 2
 
@@ -154,7 +176,10 @@ def test_a_frame_soon_has_its_true_time(ppm, bits, tick_ns, first, rate_hz, seed
     [
         (lambda true: true - 20 * S, 0.0),  # started again
         (lambda true: true + S // 10, 0.0),  # set forward
-        (lambda true: true - S // 50, 6.0),  # a little back: delays alone show it, in 5 s
+        (
+            lambda true: true - S // 50,
+            6.0,
+        ),  # a little back: delays alone show it, in 5 s
     ],
 )
 def test_a_clock_that_was_set_is_noticed_and_mapped_anew(set_ns, known_s):
@@ -169,7 +194,9 @@ def test_a_clock_that_was_set_is_noticed_and_mapped_anew(set_ns, known_s):
     assert worst(readings, 20 + known_s + SETTLED_S) < WITHIN
 
 
-@pytest.mark.parametrize("stamp", [lambda true: 2 * true, lambda true: 7, lambda true: true // MS])
+@pytest.mark.parametrize(
+    "stamp", [lambda true: 2 * true, lambda true: 7, lambda true: true // MS]
+)
 def test_stamps_that_do_not_run_as_time_are_not_used(stamp):
     lines = []
     clock = DeviceClock("driver", lines.append)

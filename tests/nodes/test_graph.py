@@ -60,12 +60,16 @@ def test_each_reader_has_a_link_from_each_of_its_writers():
     ],
 )
 def test_a_topic_that_no_node_writes_is_named_with_those_written(reads, said):
-    line = refusal(lambda: links_of(sensor=SENSOR, desk=([], [reads], [])), SettingsError)
+    line = refusal(
+        lambda: links_of(sensor=SENSOR, desk=([], [reads], [])), SettingsError
+    )
     assert line == f"desk: reads {said}"
 
 
 def test_two_writers_of_a_topic_are_both_named():
-    with pytest.raises(SettingsError, match=r"^two: writes /a/taxels, which sensor writes too$"):
+    with pytest.raises(
+        SettingsError, match=r"^two: writes /a/taxels, which sensor writes too$"
+    ):
         links_of(sensor=SENSOR, two=(["/a/taxels"], [], []))
 
 

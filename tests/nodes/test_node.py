@@ -27,7 +27,9 @@ class Bench:
     def __init__(self, rate_hz=100.0):
         self.lines = []
         self.clock = ManualClock(START_NS)
-        self.source = Paced(Settings(), Context("sensor", self.clock, self.lines.append))
+        self.source = Paced(
+            Settings(), Context("sensor", self.clock, self.lines.append)
+        )
         self.source.rate_hz = rate_hz
         self.source.begin(START_NS)
 
@@ -111,7 +113,11 @@ def test_a_source_that_runs_is_not_started_anew_by_a_command_to_run():
 
 def test_a_pause_without_a_value_toggles():
     source = Bench().source
-    assert [source.command("pause", None) for _ in range(3)] == ["paused", "runs", "paused"]
+    assert [source.command("pause", None) for _ in range(3)] == [
+        "paused",
+        "runs",
+        "paused",
+    ]
 
 
 @pytest.mark.parametrize(
@@ -129,7 +135,9 @@ def test_other_commands_are_refused(name, value, line):
     assert not source.paused
 
 
-@pytest.mark.parametrize(("part", "n_lines"), [(1.0, 0), (KEPT_RATE + 0.01, 0), (0.6, 1)])
+@pytest.mark.parametrize(
+    ("part", "n_lines"), [(1.0, 0), (KEPT_RATE + 0.01, 0), (0.6, 1)]
+)
 def test_a_rate_that_is_not_reached_is_logged_once(part, n_lines):
     bench = Bench()
     bench.run(300, part * 100)
@@ -150,7 +158,10 @@ def test_each_new_rate_that_is_not_reached_is_logged():
     bench.source.rate_hz = 80.0
     bench.source.begin(bench.clock.now_ns())
     bench.run(300, 40.0)
-    assert bench.lines == ["100 Hz asked, 60.0 Hz reached", "80 Hz asked, 40.0 Hz reached"]
+    assert bench.lines == [
+        "100 Hz asked, 60.0 Hz reached",
+        "80 Hz asked, 40.0 Hz reached",
+    ]
 
 
 def test_a_source_that_has_not_begun_has_no_rate_to_compare():

@@ -20,11 +20,20 @@ OTHER_RUN = "00000000000000bb"
 
 def taxels(seq, run_id=RUN, value=1.0):
     forces = np.full((2, 2), value, np.float32)
-    return Taxels(stamp_ns=100 + seq, patch="skin", run_id=run_id, seq=seq, forces=forces)
+    return Taxels(
+        stamp_ns=100 + seq, patch="skin", run_id=run_id, seq=seq, forces=forces
+    )
 
 
 def phi():
-    fields = {"kind": "sbhe", "n": 4, "m": 1, "block": 2, "seed": 0, "fingerprint": "0" * 16}
+    fields = {
+        "kind": "sbhe",
+        "n": 4,
+        "m": 1,
+        "block": 2,
+        "seed": 0,
+        "fingerprint": "0" * 16,
+    }
     return PhiState(stamp_ns=0, patch="skin", run_id=RUN, **fields)
 
 
@@ -56,7 +65,9 @@ class Summer(Node[Settings]):
                 raise RefusedError("too heavy")
             if total > 20:
                 raise ZeroDivisionError("a user's own mistake")
-            yield Measurements(stamp_ns=message.stamp_ns, patch="skin", y=total, phi="0" * 16)
+            yield Measurements(
+                stamp_ns=message.stamp_ns, patch="skin", y=total, phi="0" * 16
+            )
 
 
 class Counter(SourceNode[Settings]):
@@ -77,17 +88,22 @@ class Counter(SourceNode[Settings]):
 
 def make(cls):
     lines = []
-    return NodeHost(cls(Settings(), Context("n", ManualClock())), RUN, lines.append), lines
+    return NodeHost(
+        cls(Settings(), Context("n", ManualClock())), RUN, lines.append
+    ), lines
 
 
 def test_what_goes_out_is_numbered_and_signed():
     host, _ = make(Summer)
     out = [m for k in range(3) for m in host.receive(taxels(k))]
-    assert [(m.run_id, m.seq, m.stamp_ns) for m in out] == [(RUN, k, 100 + k) for k in range(3)]
+    assert [(m.run_id, m.seq, m.stamp_ns) for m in out] == [
+        (RUN, k, 100 + k) for k in range(3)
+    ]
 
 
 @pytest.mark.parametrize(
-    ("numbers", "n_sent", "lost"), [([0, 1, 2], 3, 0), ([2, 3], 4, 2), ([], 4, 4), ([0, 5], 9, 7)]
+    ("numbers", "n_sent", "lost"),
+    [([0, 1, 2], 3, 0), ([2, 3], 4, 2), ([], 4, 4), ([0, 5], 9, 7)],
 )
 def test_gaps_are_losses_at_the_start_between_and_at_the_end(numbers, n_sent, lost):
     host, _ = make(Summer)
@@ -95,7 +111,11 @@ def test_gaps_are_losses_at_the_start_between_and_at_the_end(numbers, n_sent, lo
         list(host.receive(taxels(seq)))
     list(host.receive(end(n_sent)))
     count = host.counts.inputs["/skin/taxels"]
-    assert (count.received, count.lost, count.received + count.lost) == (len(numbers), lost, n_sent)
+    assert (count.received, count.lost, count.received + count.lost) == (
+        len(numbers),
+        lost,
+        n_sent,
+    )
 
 
 def test_a_repeated_message_is_taken_once_and_a_publisher_that_starts_again_is_no_loss():
@@ -113,18 +133,25 @@ def test_a_repeated_message_is_taken_once_and_a_publisher_that_starts_again_is_n
 def test_refused_and_failed_messages_end_no_node():
     host, lines = make(Summer)
     assert list(host.receive(taxels(0, value=100.0))) == []
-    assert (list(host.receive(taxels(1, value=8.0))), len(list(host.receive(taxels(2))))) == ([], 1)
+    assert (
+        list(host.receive(taxels(1, value=8.0))),
+        len(list(host.receive(taxels(2)))),
+    ) == ([], 1)
     assert host.counts.refused == {"refused": 1, "failed": 1}
     refusal, failure = lines
     assert refusal == "refused: too heavy"
-    text = r"failed: ZeroDivisionError: a user's own mistake \(.*test_node_host\.py:\d+\)"
+    text = (
+        r"failed: ZeroDivisionError: a user's own mistake \(.*test_node_host\.py:\d+\)"
+    )
     assert re.fullmatch(text, failure)
 
 
 def test_a_message_that_cannot_be_made_is_an_error_of_its_node():
     class Short(Summer):
         def step(self, message):
-            yield Measurements(stamp_ns=-1, patch="skin", y=np.ones(1, np.float32), phi="0" * 16)
+            yield Measurements(
+                stamp_ns=-1, patch="skin", y=np.ones(1, np.float32), phi="0" * 16
+            )
 
     host, lines = make(Short)
     raised = []
@@ -171,7 +198,10 @@ def test_a_source_ends_with_its_last_frame_or_with_its_failure():
     host, lines = make(Counter)
     host.node.fails_at = 1
     out = [m for k in range(2) for m in host.tick(Tick(k, k))]
-    assert ([type(m) for m in out], host.failure) == ([Taxels, End], "the driver hung up")
+    assert ([type(m) for m in out], host.failure) == (
+        [Taxels, End],
+        "the driver hung up",
+    )
     assert lines == ["error: the driver hung up"]
 
 
@@ -187,7 +217,10 @@ def test_the_first_failure_of_a_node_is_its_reason():
     assert host.failure == ""
     for seq in range(2):
         assert list(host.receive(taxels(seq))) == []
-    assert (host.failure, host.counts.refused) == ("frame 0 cannot be measured", {"failed": 2})
+    assert (host.failure, host.counts.refused) == (
+        "frame 0 cannot be measured",
+        {"failed": 2},
+    )
     assert lines == ["failed: frame 0 cannot be measured"]
 
 

@@ -7,7 +7,14 @@ import pytest
 from bags import launched, only
 
 from sparseskin.launch.launchfile.load import load
-from sparseskin.messages import Measurements, PhiState, Reconstruction, SolverState, Taxels, Truth
+from sparseskin.messages import (
+    Measurements,
+    PhiState,
+    Reconstruction,
+    SolverState,
+    Taxels,
+    Truth,
+)
 from sparseskin.nodes.errors import SettingsError, SparseskinError
 from sparseskin.nodes.reconstructor.settings import PRESETS
 from sparseskin.nodes.settings import PatchSettings, Settings, setting
@@ -24,7 +31,9 @@ class Fixed(Settings):
 
 
 def test_values_take_their_declared_type():
-    made = Fixed.from_mapping({"rate_hz": 5, "names": ["a", "b"], "unit": "N", "loud": True})
+    made = Fixed.from_mapping(
+        {"rate_hz": 5, "names": ["a", "b"], "unit": "N", "loud": True}
+    )
     assert made == Fixed(rate_hz=5.0, names=("a", "b"), unit="N", loud=True)
     assert isinstance(made.rate_hz, float)
 
@@ -77,7 +86,10 @@ def graph(*overrides):
 
 def run(bus, n_frames, at=-1, node="", changes=None):
     """Messages frame by frame; a change falls between frame `at` - 1 and frame `at`."""
-    frames, said = [], bus._deliver(bus.hosts[node].change(changes or {})) if at == 0 else []
+    frames, said = (
+        [],
+        bus._deliver(bus.hosts[node].change(changes or {})) if at == 0 else [],
+    )
     for k, messages in enumerate(bus.frames(n_frames), start=1):
         frames.append([*said, *messages])
         said = bus._deliver(bus.hosts[node].change(changes or {})) if k == at else []
@@ -85,13 +97,21 @@ def run(bus, n_frames, at=-1, node="", changes=None):
 
 
 def forces(frames, kind=Reconstruction):
-    return [m.forces.tobytes() for messages in frames for m in messages if isinstance(m, kind)]
+    return [
+        m.forces.tobytes()
+        for messages in frames
+        for m in messages
+        if isinstance(m, kind)
+    ]
 
 
 def test_live_settings_change_and_the_others_stay():
     before = Example(seed=3)
     after = before.changed({"rate_hz": 50, "basis": "dct"})
-    assert (after, before) == (Example(rate_hz=50.0, basis="dct", seed=3), Example(seed=3))
+    assert (after, before) == (
+        Example(rate_hz=50.0, basis="dct", seed=3),
+        Example(seed=3),
+    )
     assert after.live_values() == {"rate_hz": 50.0, "basis": "dct", "tail": None}
 
 
@@ -99,10 +119,16 @@ def test_live_settings_change_and_the_others_stay():
     ("changes", "text"),
     [
         ({"rate": 5}, r"rate: unknown key \(did you mean 'rate_hz'\?\)"),
-        ({"seed": 5}, r"seed: cannot be changed while the graph runs \(allowed: rate_hz, basis"),
+        (
+            {"seed": 5},
+            r"seed: cannot be changed while the graph runs \(allowed: rate_hz, basis",
+        ),
         ({"rate_hz": 0.5}, r"rate_hz: 0.5 is outside 1.0..1000.0"),
         ({"rate_hz": 13}, "rate_hz: 13 brings bad luck"),
-        ({"basis": "os:system"}, "basis: 'os:system' is not allowed while the graph runs"),
+        (
+            {"basis": "os:system"},
+            "basis: 'os:system' is not allowed while the graph runs",
+        ),
         ({"rate_hz": 50, "seed": 5}, "seed: cannot be changed"),
     ],
 )
@@ -117,7 +143,9 @@ def test_a_ratio_or_preset_that_is_stated_last_counts():
     assert settings.changed({"ratio": 8}).rows_and_m(1600)[1] == 200
     assert settings.changed({"ratio": 8, "m": 300}).rows_and_m(1600)[1] == 300
     assert settings.changed({"ratio": 8}).changed({"m": 100}).rows_and_m(1600)[1] == 100
-    settings = load("path_40", ["reconstructor.solver=fista"]).nodes["reconstructor"].settings
+    settings = (
+        load("path_40", ["reconstructor.solver=fista"]).nodes["reconstructor"].settings
+    )
     assert settings.changed({"preset": "paper"}).chosen() == PRESETS["paper"]
     both = settings.changed({"preset": "paper", "iterations": 5})
     assert both.chosen() == PRESETS["paper"] | {"iterations": 5}
@@ -151,7 +179,9 @@ def test_a_solver_that_is_changed_goes_on_from_what_the_last_one_found():
     assert truth.max() > 0.01
     cold = graph("reconstructor.iterations=1").hosts["reconstructor"]
     (restored,) = cold.receive(only(frames[-1], Measurements).published("1" * 16, 0))
-    errors = [float(np.square(m.forces - truth).sum()) for m in (frames[-1][-1], restored)]
+    errors = [
+        float(np.square(m.forces - truth).sum()) for m in (frames[-1][-1], restored)
+    ]
     assert errors[0] < 0.5 * errors[1]
 
 
@@ -181,10 +211,14 @@ def test_noise_follows_its_setting_and_the_skin_reports_it_first():
     frames = run(graph(), 8, 4, "sensor", {"noise": 0.0})
     assert (frames[4][0].sigma_mid, frames[4][0].sigma_end) == (0.0, 0.0)
     for messages in frames[:4]:
-        assert not np.array_equal(only(messages, Taxels).forces, only(messages, Truth).forces)
+        assert not np.array_equal(
+            only(messages, Taxels).forces, only(messages, Truth).forces
+        )
     # The frame after the change was made ready before it.
     for messages in frames[5:]:
-        assert np.array_equal(only(messages, Taxels).forces, only(messages, Truth).forces)
+        assert np.array_equal(
+            only(messages, Taxels).forces, only(messages, Truth).forces
+        )
 
 
 def test_what_was_changed_stays_when_the_node_is_started_again():

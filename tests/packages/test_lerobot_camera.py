@@ -22,7 +22,8 @@ from sparseskin.nodes.network.sockets import Writer, make_context
 
 pytest.importorskip("lerobot", reason="lerobot is not installed")
 camera_package = pytest.importorskip(
-    "lerobot_camera_sparseskin", reason="packages/lerobot_camera_sparseskin is not installed"
+    "lerobot_camera_sparseskin",
+    reason="packages/lerobot_camera_sparseskin is not installed",
 )
 TOPICS = ["/skin/skin", "/skin/reconstruction", "/skin/contacts"]
 SEND_S = 0.01
@@ -57,7 +58,9 @@ def graph(tmp_path, monkeypatch):
 
     thread = threading.Thread(target=publish)
     nodes = {"host": RunningNode("reconstructor", writer.endpoint, TOPICS)}
-    with announced(RunningGraph("touched", 1, time.time_ns() - time.monotonic_ns(), "", nodes)):
+    with announced(
+        RunningGraph("touched", 1, time.time_ns() - time.monotonic_ns(), "", nodes)
+    ):
         thread.start()
         yield
         stopped.set()
@@ -71,7 +74,9 @@ def camera(**settings: Any) -> Any:
 
 
 def test_images_are_the_taxels_in_grey_and_each_is_read_once(graph):
-    assert camera().find_cameras() == [{"type": "sparseskin", "id": "skin", "graph": "touched-1"}]
+    assert camera().find_cameras() == [
+        {"type": "sparseskin", "id": "skin", "graph": "touched-1"}
+    ]
     with camera() as one:
         levels = []
         for _ in range(5):
@@ -106,7 +111,9 @@ def test_settings_out_of_range_are_refused(settings):
         camera_package.SparseskinCameraConfig(**settings)
 
 
-def test_lerobot_records_images_and_the_contacts_of_the_same_frames(graph, tmp_path, monkeypatch):
+def test_lerobot_records_images_and_the_contacts_of_the_same_frames(
+    graph, tmp_path, monkeypatch
+):
     import av
     import lerobot_arm  # noqa: F401
     from lerobot.datasets.lerobot_dataset import LeRobotDataset
@@ -120,16 +127,21 @@ def test_lerobot_records_images_and_the_contacts_of_the_same_frames(graph, tmp_p
         "dataset.repo_id": "local/touch", "dataset.single_task": "touch", "dataset.vcodec": "h264",
         "dataset.num_episodes": 1, "dataset.episode_time_s": 2, "dataset.push_to_hub": "false",
     }  # fmt: skip
-    monkeypatch.setattr(sys, "argv", ["lerobot-record", *(f"--{k}={v}" for k, v in words.items())])
+    monkeypatch.setattr(
+        sys, "argv", ["lerobot-record", *(f"--{k}={v}" for k, v in words.items())]
+    )
     lerobot_record.main()
     found = LeRobotDataset("local/touch", root=root)
     names = found.features["observation.state"]["names"]
     assert names[:3] == ["joint.pos", "palm.trusted", "palm.contact_1.total"]
     assert len(names) == 1 + 1 + 2 * 10
-    with av.open(str(next(root.glob("videos/observation.images.palm/*/*.mp4")))) as video:
+    with av.open(
+        str(next(root.glob("videos/observation.images.palm/*/*.mp4")))
+    ) as video:
         images = [image.to_ndarray(format="rgb24") for image in video.decode(video=0)]
     places = [
-        names.index(f"palm.{name}") for name in ("trusted", "contact_1.total", "contact_2.total")
+        names.index(f"palm.{name}")
+        for name in ("trusted", "contact_1.total", "contact_2.total")
     ]
     rows = np.array(found.hf_dataset["observation.state"])[:, places]
     assert len(images) == len(rows) > 0

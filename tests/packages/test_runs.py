@@ -29,7 +29,9 @@ def test_both_have_names_beside_those_of_the_core_and_pass_the_checks():
     assert "spread" in known(ReconstructorSettings, "solver")
     phi = sparseskin.make_phi("runs", n=100, m=30, seed=0)
     sparseskin.check_phi(phi)
-    solver = sparseskin.make_solver("spread", phi, sparseskin.make_basis("haar", 10, 10))
+    solver = sparseskin.make_solver(
+        "spread", phi, sparseskin.make_basis("haar", 10, 10)
+    )
     sparseskin.check_solver(solver)
 
 

@@ -12,7 +12,9 @@ from sparseskin.nodes.clock import ManualClock
 from sparseskin.nodes.node import Context
 from sparseskin.nodes.registry import node_class
 
-pytest.importorskip("sparseskin.plugins.bridges", reason="the core alone has no bridges")
+pytest.importorskip(
+    "sparseskin.plugins.bridges", reason="the core alone has no bridges"
+)
 
 
 @pytest.fixture
@@ -27,7 +29,9 @@ def receiver():
 def bridge(tmp_path, monkeypatch, receiver):
     with installed("sparseskin_udp", tmp_path, monkeypatch):
         cls = node_class("udp")
-        settings = cls.Settings(port=receiver.getsockname()[1], maps=("reconstruction",))
+        settings = cls.Settings(
+            port=receiver.getsockname()[1], maps=("reconstruction",)
+        )
         made = cls(settings, Context("udp", ManualClock()))
         yield made
         made.close({})

@@ -52,7 +52,9 @@ class Line:
         """Send from a thread."""
 
         def run() -> None:
-            with contextlib.suppress(OSError, ValueError):  # the test has closed the line
+            with contextlib.suppress(
+                OSError, ValueError
+            ):  # the test has closed the line
                 for piece in pieces:
                     self.send(piece)
 

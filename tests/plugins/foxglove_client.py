@@ -56,7 +56,9 @@ class FoxgloveClient:
                 return found
             if got[0] == MESSAGE_DATA:
                 number, at_ns = struct.unpack_from("<IQ", got, 1)
-                return Data(self._topics[number], at_ns, self._content(number, got[13:]))
+                return Data(
+                    self._topics[number], at_ns, self._content(number, got[13:])
+                )
 
     def _content(self, number: int, payload: bytes) -> Any:
         channel = self.channels[self._topics[number]]

@@ -39,12 +39,19 @@ HOW = f"""# python tests/plugins/measured_costs.py
 # pressing {DENSE:.0%} of the taxels for {N_PRESSED} frames, noise of the paper."""
 
 
-def measure(strategy: Strategy, shape: tuple[int, int], seed: int = 0) -> dict[str, float]:
+def measure(
+    strategy: Strategy, shape: tuple[int, int], seed: int = 0
+) -> dict[str, float]:
     """`FIGURES` of a strategy on a skin that each of `BODIES` presses, microseconds."""
-    runs = [[_measure(strategy, shape, body, seed) for body in BODIES] for _ in range(N_REPEATS)]
+    runs = [
+        [_measure(strategy, shape, body, seed) for body in BODIES]
+        for _ in range(N_REPEATS)
+    ]
     edge, calm, pressed = np.moveaxis(np.array(runs), -1, 0)  # each: repeats x bodies
     of_run = (edge.mean(axis=1), calm.min(axis=1), pressed.max(axis=1))
-    return {key: round(float(us.min()), 1) for key, us in zip(FIGURES, of_run, strict=True)}
+    return {
+        key: round(float(us.min()), 1) for key, us in zip(FIGURES, of_run, strict=True)
+    }
 
 
 def _measure(
@@ -52,11 +59,15 @@ def _measure(
 ) -> tuple[float, float, float]:
     """Median processor time under one body, microseconds: edge pressed, host untouched, pressed."""
     noise = NoiseModel.for_range(PAPER_F_MAX_N)
-    host: Any = _Decoder() if strategy.sums == SINGLE else made_node("reconstructor", {})
+    host: Any = (
+        _Decoder() if strategy.sums == SINGLE else made_node("reconstructor", {})
+    )
     phi = strategy.phi
     if phi == LARGER:
         # The edge of a skin of fewer taxels, all of them read, and the interpolation.
-        host = _Interpolator(np.ones(shape, dtype=np.bool_), strategy.m(shape[0] * shape[1]))
+        host = _Interpolator(
+            np.ones(shape, dtype=np.bool_), strategy.m(shape[0] * shape[1])
+        )
         shape = (shape[0] // 2, shape[1] // 2)
         phi = "full"
     skin = Skin(*shape, noise.f_max, "N", 0.004)
@@ -64,7 +75,12 @@ def _measure(
     if phi != "full":
         settings["m"] = strategy.m(skin.n_taxels, skin.n_rows)
     edge = made_node("compressor", settings)
-    stated: dict[str, Any] = {"stamp_ns": 0, "patch": "skin", "source": "presses", "seed": seed}
+    stated: dict[str, Any] = {
+        "stamp_ns": 0,
+        "patch": "skin",
+        "source": "presses",
+        "seed": seed,
+    }
     stated |= {"rate_hz": 1000.0, "has_truth": False, **vars(skin)}
     state = SkinState(**stated, sigma_mid=noise.sigma_mid, sigma_end=noise.sigma_end)
     (phi_state,) = edge.step(state)
@@ -73,11 +89,16 @@ def _measure(
     spent: dict[str, list[float]] = {"edge": [], "host": []}
     before = WARM_UP + N_CALM
     frames = press_frames(
-        *(body, shape, before + N_PRESSED, seed), active=DENSE, noise=noise, timing=Timing(before)
+        *(body, shape, before + N_PRESSED, seed),
+        active=DENSE,
+        noise=noise,
+        timing=Timing(before),
     )
     for k, (_, forces) in enumerate(frames):
         taxels = Taxels(stamp_ns=1_000_000 * (k + 1), patch="skin", forces=forces)
-        timed_step(host, timed_step(edge, wire_bytes(taxels), spent["edge"])[0], spent["host"])
+        timed_step(
+            host, timed_step(edge, wire_bytes(taxels), spent["edge"])[0], spent["host"]
+        )
 
     def median_us(station: str, first: int, last: int | None) -> float:
         return 1e6 * float(np.median(spent[station][first:last]))
@@ -111,7 +132,9 @@ def main() -> None:
     fast = "numba" if find_spec("numba") else "numpy alone"
     load = f"load average {os.getloadavg()[0]:.1f} at the begin"
     print(HOW)
-    print(f'conditions = "one core of {os.cpu_count()}, {platform.machine()}, {fast}, {load}"')
+    print(
+        f'conditions = "one core of {os.cpu_count()}, {platform.machine()}, {fast}, {load}"'
+    )
     for shape in SIZES:
         print(f"\n[cost.{shape[0] * shape[1]}]")
         for name, strategy in STRATEGIES.items():

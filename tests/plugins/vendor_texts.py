@@ -5,7 +5,10 @@ from collections.abc import Sequence
 import numpy as np
 
 # A platform of 4 rows x 3 columns; columns 2, 3 and rows 2..4 were touched. 0.25 cm2: x 0.025.
-EMED_KPA = [[[0.0, 10.0], [20.0, 40.0], [0.0, 0.0]], [[0.0, 15.0], [100.0, 0.0], [5.0, 0.0]]]
+EMED_KPA = [
+    [[0.0, 10.0], [20.0, 40.0], [0.0, 0.0]],
+    [[0.0, 15.0], [100.0, 0.0], [5.0, 0.0]],
+]
 
 
 def emed_page(number: str, table: list[list[float]] | None) -> str:
@@ -19,14 +22,20 @@ def emed_page(number: str, table: list[list[float]] | None) -> str:
         page += "\t2\t3\tForce\n"
         for row, cells in enumerate(table, start=2):
             force = 0.025 * sum(cells)
-            page += f"{row}\t" + "\t".join(f"{kpa:.2f}" for kpa in cells) + f"\t{force:.2f}\n"
+            page += (
+                f"{row}\t"
+                + "\t".join(f"{kpa:.2f}" for kpa in cells)
+                + f"\t{force:.2f}\n"
+            )
         sums = [0.025 * sum(column) for column in zip(*table, strict=True)]
         page += "Force\t" + "\t".join(f"{n:.2f}" for n in [*sums, sum(sums)]) + "\n\f"
     return page
 
 
 def emed_text() -> str:
-    frames = "".join(emed_page(str(k), table) for k, table in enumerate(EMED_KPA, start=1))
+    frames = "".join(
+        emed_page(str(k), table) for k, table in enumerate(EMED_KPA, start=1)
+    )
     peaks = np.max(EMED_KPA, axis=0).tolist()
     return frames + emed_page("MVP", peaks) + "\n\t\t\t\tPage 4\n\nno frame\n"
 
@@ -34,13 +43,17 @@ def emed_text() -> str:
 TEKSCAN_ROWS = [["B,1,2", "0,3,B"], ["B,0,5", "7,0,B"], ["B,0,0", "0,9,B"]]
 
 
-def tekscan_text(unit: str = "raw", times: tuple[str, ...] = ("0", "0.1", "0.21")) -> str:
+def tekscan_text(
+    unit: str = "raw", times: tuple[str, ...] = ("0", "0.1", "0.21")
+) -> str:
     text = (
         "DATA_TYPE MOVIE\nVERSION Tekscan 6.10I\nROWS 2\nCOLS 3\n"
         "ROW_SPACING 0.127 centimeters\nCOL_SPACING 0.127 centimeters\n"
         f"SECONDS_PER_FRAME 0.1\nSTART_FRAME 1\nEND_FRAME 3\nUNITS {unit}\nASCII_DATA @@\n"
     )
-    for number, (rows, time) in enumerate(zip(TEKSCAN_ROWS, times, strict=True), start=1):
+    for number, (rows, time) in enumerate(
+        zip(TEKSCAN_ROWS, times, strict=True), start=1
+    ):
         cells = ",".join(rows).split(",")
         total = sum(int(cell) for cell in cells if cell != "B")
         text += f"\nFrame {number}, {time},, 12/2/2019,,,Raw Sum=,,{total}\n"
@@ -79,7 +92,11 @@ def xsensor_text(
     unit: str = "mmHg",
 ) -> str:
     """An export of two sensors and a group, as the software lays it out."""
-    lines = ['\xef\xbb\xbfFile:,"C:\\foot-8,16.XSN",,', f"Units:,{unit},,", "Threshold:,0.5,,"]
+    lines = [
+        '\xef\xbb\xbfFile:,"C:\\foot-8,16.XSN",,',
+        f"Units:,{unit},,",
+        "Threshold:,0.5,,",
+    ]
     for number, (rows, time) in enumerate(zip(frames, times, strict=True), start=1464):
         lines += [f"FRAME,{number},,", "Date, 2022 Aug 16,,", f"Time, {time},,"]
         lines += xsensor_sensor("LF", rows, area, pad)

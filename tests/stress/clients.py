@@ -32,7 +32,8 @@ def ros2(address: str) -> Iterator[Any]:
 
     member = Member(int(address), "lo", "stress")
     readers = [
-        member.reader(f"{MAP}{ending}", kind, HISTORY, True) for ending, kind, _ in OF_MAPS.values()
+        member.reader(f"{MAP}{ending}", kind, HISTORY, True)
+        for ending, kind, _ in OF_MAPS.values()
     ]
     while True:
         for image in readers[0].take(0.1, HISTORY):

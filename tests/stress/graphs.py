@@ -59,13 +59,17 @@ class GraphRun(Program):
         environment: Mapping[str, str] | None = None,
     ) -> None:
         self._is_temporary = folder is None
-        folder = (folder or Path(tempfile.mkdtemp(prefix="sparseskin-graph-"))).resolve()
+        folder = (
+            folder or Path(tempfile.mkdtemp(prefix="sparseskin-graph-"))
+        ).resolve()
         folder.mkdir(parents=True, exist_ok=True)
         if "\n" in launch:
             (folder / "graph.toml").write_text(launch)
             launch = "graph.toml"
         self.stack = contextlib.ExitStack()
-        out, err = ((folder / f"{name}.txt").open("wb") for name in ("stdout", "stderr"))
+        out, err = (
+            (folder / f"{name}.txt").open("wb") for name in ("stdout", "stderr")
+        )
         with out, err:
             super().__init__(
                 *("launch", launch, "--summary", "summary.json", *arguments),
@@ -100,7 +104,9 @@ class GraphRun(Program):
     def log(self) -> list[str]:
         """Lines that launcher and nodes have logged so far, without their times."""
         text = (self.cwd / "stderr.txt").read_text(errors="replace")
-        return [re.sub(r"^\d\d:\d\d:\d\d\.\d{3} ", "", line) for line in text.splitlines()]
+        return [
+            re.sub(r"^\d\d:\d\d:\d\d\.\d{3} ", "", line) for line in text.splitlines()
+        ]
 
     def wait_for(self, token: str) -> str:
         """Wait until a line of the log holds a token; the last such line."""
@@ -110,7 +116,9 @@ class GraphRun(Program):
             ended = self.process.poll() is not None
             found[:] = [line for line in self.log if token in line]
             if ended and not found:
-                raise AssertionError(f"the graph ended without {token!r}: {self.log[-5:]}")
+                raise AssertionError(
+                    f"the graph ended without {token!r}: {self.log[-5:]}"
+                )
             return bool(found)
 
         wait_until(has_come, repr(token))
@@ -127,7 +135,11 @@ class GraphRun(Program):
     def stopped(self, before: Mapping[str, int], *but: str) -> list[str]:
         """Nodes, except those named, that are gone or run as another process than before."""
         now = self.nodes()
-        return [name for name, pid in before.items() if name not in but and now.get(name) != pid]
+        return [
+            name
+            for name, pid in before.items()
+            if name not in but and now.get(name) != pid
+        ]
 
     def state(self) -> dict[str, dict[str, Any]]:
         """Newest state of each node that the launcher has published, by name."""
@@ -146,7 +158,9 @@ class GraphRun(Program):
         self.state()
         self._n_requests += 1
         number = str(self._n_requests)
-        self._client.send({"id": number, "node": node, "command": command, "value": value})
+        self._client.send(
+            {"id": number, "node": node, "command": command, "value": value}
+        )
 
     def end(self) -> int:
         """End the graph as Ctrl-C does, wait for it, and return its exit code."""
@@ -175,19 +189,27 @@ class GraphRun(Program):
         return left
 
 
-def launch_text(nodes: Mapping[str, Any], graph: Mapping[str, Any] | None = None) -> str:
+def launch_text(
+    nodes: Mapping[str, Any], graph: Mapping[str, Any] | None = None
+) -> str:
     """Text of a launch file: settings of nodes by name, and of [graph]; None: left out."""
-    tables = {f"nodes.{name}": {"type": name, **settings} for name, settings in nodes.items()}
+    tables = {
+        f"nodes.{name}": {"type": name, **settings} for name, settings in nodes.items()
+    }
     return "".join(
         f"[{table}]\n"
         + "".join(
-            f"{key} = {json.dumps(value)}\n" for key, value in values.items() if value is not None
+            f"{key} = {json.dumps(value)}\n"
+            for key, value in values.items()
+            if value is not None
         )
         for table, values in {"graph": graph or {}, **tables}.items()
     )
 
 
-def graph_text(graph: Mapping[str, Any] | None = None, **changed: Mapping[str, Any]) -> str:
+def graph_text(
+    graph: Mapping[str, Any] | None = None, **changed: Mapping[str, Any]
+) -> str:
     """Launch file of the graph to which faults are done, with changed settings by name."""
     nodes: dict[str, dict[str, Any]] = {
         "sensor": {"source": "scene:path_40", "rate_hz": RATE_HZ},
@@ -195,7 +217,9 @@ def graph_text(graph: Mapping[str, Any] | None = None, **changed: Mapping[str, A
         "reconstructor": {"preset": "skin", "depth": 0},
         "monitor": {"page": False},
     }
-    nodes = {name: {**settings, **changed.get(name, {})} for name, settings in nodes.items()}
+    nodes = {
+        name: {**settings, **changed.get(name, {})} for name, settings in nodes.items()
+    }
     restarts = {"restart": "on-failure", "restart_window_s": 1}
     return launch_text(nodes, {**restarts, **(graph or {})})
 
@@ -219,7 +243,9 @@ class Probe:
         keys = read_key_pair(Path(note["key_file"])) if note["key_file"] else None
         self._context = make_context()
         topics = list(self._seen)
-        self._reader = Reader(self._context, "probe", (), topics, present=False, keys=keys)
+        self._reader = Reader(
+            self._context, "probe", (), topics, present=False, keys=keys
+        )
         for node in note["nodes"].values():
             if any(topic in node["outputs"] for topic in topics):
                 self._reader.connect(node["endpoint"], node["key"])
@@ -248,7 +274,9 @@ class Probe:
         sensed = {stamp_ns for stamp_ns in sensed if since_ns < stamp_ns <= until_ns}
         return len(sensed - done), len(sensed)
 
-    def wait_for_frame(self, after_ns: int | None = None, max_age_ns: float = FRESH_NS) -> float:
+    def wait_for_frame(
+        self, after_ns: int | None = None, max_age_ns: float = FRESH_NS
+    ) -> float:
         """Seconds until a frame acquired after a time (now) comes, at most `max_age_ns` old."""
         begin_ns = self.now_ns() if after_ns is None else after_ns
         found: list[Seen] = []
@@ -275,7 +303,9 @@ class Probe:
                 except MessageError:
                     continue
                 if message.topic in self._seen:
-                    self._seen[message.topic].append(Seen(message.stamp_ns, self.now_ns()))
+                    self._seen[message.topic].append(
+                        Seen(message.stamp_ns, self.now_ns())
+                    )
 
 
 class Outcome(NamedTuple):

@@ -45,7 +45,9 @@ class Latencies(Node[LatenciesSettings]):
     """Notes the stamp of each frame and the time when it was reconstructed, int64, ns."""
 
     Settings = LatenciesSettings
-    patience_s = 0.05  # the times are in the messages: they can wait, and cost less together
+    patience_s = (
+        0.05  # the times are in the messages: they can wait, and cost less together
+    )
 
     def __init__(self, settings: LatenciesSettings, context: Context) -> None:
         super().__init__(settings, context)
@@ -68,7 +70,11 @@ LATENCIES = '\n[nodes.latencies]\ntype = "stress.observers:Latencies"\n'
 
 
 def in_turns(
-    graph: GraphRun, suspend: Callable[[bool], None], pids: list[int], n_turns: int, turn_s: float
+    graph: GraphRun,
+    suspend: Callable[[bool], None],
+    pids: list[int],
+    n_turns: int,
+    turn_s: float,
 ) -> dict[str, float]:
     """Let a graph run in turns with and without what looks at it, and end it.
 
@@ -123,11 +129,19 @@ def commands(graph: GraphRun) -> Iterator[list[int]]:
     own = set(graph.survivors())
     with contextlib.ExitStack() as stack:
         for command in COMMANDS:
-            process = graph.start(*command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL)
+            process = graph.start(
+                *command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL
+            )
             process.stdout.readline()
             # Their output is read, as by a terminal; that costs the graph nothing.
-            drain = subprocess.Popen(["cat"], stdin=process.stdout, stdout=subprocess.DEVNULL)
-            for end in (drain.wait, process.wait, process.terminate):  # the last is called first
+            drain = subprocess.Popen(
+                ["cat"], stdin=process.stdout, stdout=subprocess.DEVNULL
+            )
+            for end in (
+                drain.wait,
+                process.wait,
+                process.terminate,
+            ):  # the last is called first
                 stack.callback(end)
         found = [pid for pid in graph.survivors() if pid not in own]
         stack.callback(suspending(found), False)
@@ -140,7 +154,9 @@ def bridge(graph: GraphRun, kind: str) -> Iterator[tuple[list[int], int]]:
     token, options = BRIDGES[kind]
     own = set(graph.survivors())
     stated = ["--set", 'maps=["reconstruction"]', *options]
-    made = graph.start("bridge", kind, *stated, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE)
+    made = graph.start(
+        "bridge", kind, *stated, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE
+    )
     client = None
     try:
         lines = (line.decode(errors="replace") for line in made.stderr)
@@ -157,7 +173,9 @@ def bridge(graph: GraphRun, kind: str) -> Iterator[tuple[list[int], int]]:
         if client.stdout.readline().strip() != b"reads":
             raise AssertionError(f"the client of {kind} read nothing")
         found = {pid: line for pid, line in graph.survivors().items() if pid not in own}
-        (node,) = (pid for pid, line in found.items() if re.search(rf"run_node {kind}_", line))
+        (node,) = (
+            pid for pid, line in found.items() if re.search(rf"run_node {kind}_", line)
+        )
         yield list(found), node
     finally:
         for process in (client, made):

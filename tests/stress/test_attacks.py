@@ -50,7 +50,9 @@ class Look(NamedTuple):
 
     @classmethod
     def at(cls, pid):
-        n_files, n_threads = (len(os.listdir(f"/proc/{pid}/{of}")) for of in ("fd", "task"))
+        n_files, n_threads = (
+            len(os.listdir(f"/proc/{pid}/{of}")) for of in ("fd", "task")
+        )
         return cls(n_files, n_threads, own_bytes(pid))
 
 
@@ -86,7 +88,12 @@ class Watched:
             name: [looks[0], Look(*map(max, zip(*looks, strict=True))), looks[-1]]
             for name, looks in self._looks.items()
         }
-        note(attack=attack, **figures, frames=found.of, **{k: list(v) for k, v in seen.items()})
+        note(
+            attack=attack,
+            **figures,
+            frames=found.of,
+            **{k: list(v) for k, v in seen.items()},
+        )
         assert (found.lost, lost, found.stopped, found.left) == (0, 0, [], [])
         assert found.of > 0
         return seen
@@ -141,13 +148,17 @@ def join(graph):
         reader = Reader(context, "late", (), ["/skin/taxels"], present=False, keys=keys)
         sensor = graph.note()["nodes"]["sensor"]
         reader.connect(sensor["endpoint"], sensor["key"])
-        return wait_until(lambda: reader.receive() is not None, "a message to a reader with a key")
+        return wait_until(
+            lambda: reader.receive() is not None, "a message to a reader with a key"
+        )
     finally:
         context.destroy(linger=0)
 
 
 @pytest.mark.parametrize("files", [None, 64])
-def test_half_open_connections_cost_a_graph_with_keys_nothing(files, full, note, tmp_path):
+def test_half_open_connections_cost_a_graph_with_keys_nothing(
+    files, full, note, tmp_path
+):
     n, n_wave, rate_hz = (10_000, 10_000, 50.0) if full else (900, 500, 20.0)
     n_wave = min(n_wave, resource.getrlimit(resource.RLIMIT_NOFILE)[0] - SPARE_FILES)
     make_key_files("edge", tmp_path / "keys")
@@ -164,7 +175,11 @@ def test_half_open_connections_cost_a_graph_with_keys_nothing(files, full, note,
             with contextlib.ExitStack() as stack:
                 held = []
                 for k in range(min(n_wave, n_left)):
-                    held.append(stack.enter_context(half_open(ports[k % len(ports)], n_left - k)))
+                    held.append(
+                        stack.enter_context(
+                            half_open(ports[k % len(ports)], n_left - k)
+                        )
+                    )
                     if k % PART == 0:
                         watched.look()
                 n_left -= len(held)
@@ -263,7 +278,9 @@ def test_open_pages_cost_a_graph_nothing_and_are_refused_in_order(full, note, tm
         n_bytes = 0
         for _ in range(times):
             with Pages(url, n, reading) as pages:
-                wait_until(lambda pages=pages: "" not in pages.statuses(), "all answers")
+                wait_until(
+                    lambda pages=pages: "" not in pages.statuses(), "all answers"
+                )
                 until_s = time.monotonic() + held_s
                 while time.monotonic() < until_s:
                     watched.look()
@@ -272,7 +289,9 @@ def test_open_pages_cost_a_graph_nothing_and_are_refused_in_order(full, note, tm
                 n_bytes += pages.n_bytes
             wait_until(watched.is_as_before, "the end of all pages")
         read_mb = round(n_bytes / 1e6, 1)
-        ((before, most, after),) = watched.end(note, f"{n} pages", read_mb=read_mb).values()
+        ((before, most, after),) = watched.end(
+            note, f"{n} pages", read_mb=read_mb
+        ).values()
     assert read_mb > 0
     assert before.files < most.files
     assert before.threads < most.threads

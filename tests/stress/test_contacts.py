@@ -28,7 +28,9 @@ class Watched:
     """Patches under constant forces and noise, watched frame by frame."""
 
     def __init__(self, n_patches, truth):
-        state = skin_state(**vars(SKIN), sigma_mid=NOISE.sigma_mid, sigma_end=NOISE.sigma_end)
+        state = skin_state(
+            **vars(SKIN), sigma_mid=NOISE.sigma_mid, sigma_end=NOISE.sigma_end
+        )
         self._phis = CompressorSettings(rows=ROTATING, ratio=RATIO).phis(SKIN)
         self.watch = IdleWatch(n_patches, state, self._phis)
         self._rng = np.random.default_rng(0)
@@ -42,8 +44,12 @@ class Watched:
         """True for each patch that would be solved, in the next frame under these forces."""
         phi = self._phis[self._k % len(self._phis)]
         self._k += 1
-        readings = (NOISE.apply(truth, self._rng).reshape(-1) for _ in range(self._n_patches))
-        return self.watch.to_solve(phi.fingerprint, np.stack([phi.forward(r) for r in readings]))
+        readings = (
+            NOISE.apply(truth, self._rng).reshape(-1) for _ in range(self._n_patches)
+        )
+        return self.watch.to_solve(
+            phi.fingerprint, np.stack([phi.forward(r) for r in readings])
+        )
 
 
 def missed(contact, sigmas, n_patches):
@@ -71,7 +77,9 @@ def test_strong_contacts_are_noticed_and_alarms_are_rare(full, note):
     for contact in (4, 8, 16) if full else (8,):
         for sigmas in (1.0, 2.0, 3.0):
             shares = missed(contact, sigmas, n_patches)
-            found = {f"{k} frames": f"{s:.1%}" for k, s in zip(FRAMES, shares, strict=True)}
+            found = {
+                f"{k} frames": f"{s:.1%}" for k, s in zip(FRAMES, shares, strict=True)
+            }
             note(touched=f"{contact} x {contact}", sigmas=sigmas, **found)
             assert sigmas < 3 or contact < 8 or shares[-1] == 0
     press = TiledScene("hug", SKIN, 1).forces(2.2)[0]
@@ -103,10 +111,18 @@ def test_an_untouched_skin_has_no_contact(ratio, stated, full, note, tmp_path):
     begins = 0
     for seed in range(n_starts):
         compressor = {"ratio": ratio, "seed": seed}
-        bus = chain(sensor=source, compressor=compressor, reconstructor={"contacts": True})
+        bus = chain(
+            sensor=source, compressor=compressor, reconstructor={"contacts": True}
+        )
         for messages in bus.frames(n_frames // n_starts):
             found = [one for one in messages if isinstance(one, Contacts)]
-            begins += sum(name == "begin" for one in found for _, name in one.named_events)
+            begins += sum(
+                name == "begin" for one in found for _, name in one.named_events
+            )
         bus.check()
-    note(untouched=f"N/{ratio}", sigmas=f"stated {stated}", begins=f"{begins} in {n_frames}")
+    note(
+        untouched=f"N/{ratio}",
+        sigmas=f"stated {stated}",
+        begins=f"{begins} in {n_frames}",
+    )
     assert not begins

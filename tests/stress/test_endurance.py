@@ -31,7 +31,10 @@ def one_round(side):
         body = BODIES[scene % len(BODIES)]
         frames = [truth for truth, _ in press_frames(body, (side, side), FRAMES, scene)]
         for k, frame in enumerate(frames[FIRST:]):
-            is_lost = scene % LOST_EVERY == LOST_EVERY - 1 and LOST_FROM <= k < LOST_FROM + LOST
+            is_lost = (
+                scene % LOST_EVERY == LOST_EVERY - 1
+                and LOST_FROM <= k < LOST_FROM + LOST
+            )
             yield None if is_lost else frame
 
 

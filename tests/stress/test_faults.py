@@ -79,8 +79,13 @@ def strike(graph, node, number, stop_s, rate_hz):
     if node in STREAM:
         recover_s = probe.wait_for_frame(ended_ns)
     if number != signal.SIGSTOP:
-        wait_until(lambda: graph.state()[node]["restarts"] > restarts, f"a restart of the {node}")
-    wait_until(lambda: graph.state()[node]["condition"] == "running", f"the {node} to run")
+        wait_until(
+            lambda: graph.state()[node]["restarts"] > restarts,
+            f"a restart of the {node}",
+        )
+    wait_until(
+        lambda: graph.state()[node]["condition"] == "running", f"the {node} to run"
+    )
     if node not in STREAM:
         recover_s = (probe.now_ns() - ended_ns) / 1e9
     probe.wait_for_frame()
@@ -90,7 +95,11 @@ def strike(graph, node, number, stop_s, rate_hz):
     lost, n_sensed = probe.lost(since_ns)
     not_sensed = max(0, round((until_ns - since_ns) / 1e9 * rate_hz) - n_sensed)
     return {
-        **{"recover_s": recover_s, "lost": lost, "stopped": graph.stopped(before, node)},
+        **{
+            "recover_s": recover_s,
+            "lost": lost,
+            "stopped": graph.stopped(before, node),
+        },
         "not_sensed": not_sensed if node == "sensor" else 0,
     }
 
@@ -110,7 +119,9 @@ def not_recorded(folder, sensed):
     [("SIGKILL", None), ("SIGKILL", "tcp"), ("SIGSEGV", None), ("SIGSTOP", None)],
 )
 def test_a_node_that_ends_takes_no_other_with_it(name, transport, full, note, tmp_path):
-    n_graphs, repeats, stop_s, rate_hz = (7, 3, 5.0, 100.0) if full else (1, 1, 1.0, 20.0)
+    n_graphs, repeats, stop_s, rate_hz = (
+        (7, 3, 5.0, 100.0) if full else (1, 1, 1.0, 20.0)
+    )
     dies = name != "SIGSTOP"
     struck = {node: [] for node in NODES}
     launch = graph_text({"transport": transport}, sensor={"rate_hz": rate_hz})
@@ -118,7 +129,9 @@ def test_a_node_that_ends_takes_no_other_with_it(name, transport, full, note, tm
         folder = tmp_path / str(k)
         with ObservedGraph(launch, "--record", "run.mcap", folder=folder) as graph:
             for node in NODES * repeats:
-                struck[node].append(strike(graph, node, signal.Signals[name], stop_s, rate_hz))
+                struck[node].append(
+                    strike(graph, node, signal.Signals[name], stop_s, rate_hz)
+                )
             sensed = {seen.stamp_ns for seen in list(graph.probe.sensed)}
             graph.end()
             left = graph.left_behind()
@@ -126,7 +139,9 @@ def test_a_node_that_ends_takes_no_other_with_it(name, transport, full, note, tm
         assert bool(not_recorded(folder, sensed)) == dies
         recordings = sorted(path.name for path in folder.glob("run*"))
         if not full:
-            assert recordings == (["run.mcap.part", "run.restart1.mcap"] if dies else ["run.mcap"])
+            assert recordings == (
+                ["run.mcap.part", "run.restart1.mcap"] if dies else ["run.mcap"]
+            )
     for node, found in struck.items():
         assert not any(one["stopped"] for one in found), node
         lost = statistics.median(one["lost"] for one in found)
@@ -149,7 +164,9 @@ def begun(tmp_path):
     with contextlib.ExitStack() as stack:
 
         def begin(launch, *arguments, **options):
-            made = ObservedGraph(launch, *arguments, folder=tmp_path / "graph", **options)
+            made = ObservedGraph(
+                launch, *arguments, folder=tmp_path / "graph", **options
+            )
             graph = stack.enter_context(made)
             graph.probe.wait_for_frame(max_age_ns=math.inf)
             graph.begin()
@@ -187,7 +204,12 @@ def test_nothing_outlives_a_launcher_that_is_killed(begun, note):
     n_notes = len(list(graph.notes.iterdir()))
     graph.start("monitor", stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL).wait()
     n_recorded = recorded(graph.cwd / "run.mcap")
-    note(fault="kill -9 of the launcher", recover_s=took_s, notes=n_notes, recorded=n_recorded)
+    note(
+        fault="kill -9 of the launcher",
+        recover_s=took_s,
+        notes=n_notes,
+        recorded=n_recorded,
+    )
     assert n_recorded > 0
     assert graph.left_behind() == []
 
@@ -240,7 +262,9 @@ def test_a_full_disk_costs_the_stream_no_frame(begun, ended, held_s, mount_disk)
     assert "No space left on device; recording ended" in line
 
 
-def test_ten_times_the_rate_loses_what_is_counted_and_then_it_is_as_before(begun, ended, full):
+def test_ten_times_the_rate_loses_what_is_counted_and_then_it_is_as_before(
+    begun, ended, full
+):
     slow = {"preset": "paper", "iterations": 40, "fast": "off"}
     rate_hz = RATE_HZ if full else 20.0  # slow enough for the solver on a busy host
     graph = begun(graph_text(sensor={"rate_hz": rate_hz}, reconstructor=slow))
@@ -248,7 +272,9 @@ def test_ten_times_the_rate_loses_what_is_counted_and_then_it_is_as_before(begun
     time.sleep(3.0 if full else 0.5)
     graph.ask("sensor", "set", {"rate_hz": rate_hz})
     recover_s = graph.probe.wait_for_frame()
-    oldest_ns = max(seen.came_ns - seen.stamp_ns for seen in list(graph.probe.reconstructed))
+    oldest_ns = max(
+        seen.came_ns - seen.stamp_ns for seen in list(graph.probe.reconstructed)
+    )
     time.sleep(1.0)
     finding = f"the oldest frame was {oldest_ns / 1e9:.1f} s old"
     found = ended(graph, "10 times the rate", finding=finding, recover_s=recover_s)
@@ -263,14 +289,18 @@ def test_a_clock_that_steps_back_is_not_noticed(begun, ended, held_s, tmp_path):
     (modules / "sitecustomize.py").write_text(text)
     environment = {"PYTHONPATH": str(modules)}
     graph = begun(graph_text(), "--record", "run.mcap", environment=environment)
-    reached = {int(path.name.rpartition("-")[2]) for path in modules.glob("loaded-by-*")}
+    reached = {
+        int(path.name.rpartition("-")[2]) for path in modules.glob("loaded-by-*")
+    }
     assert set(graph.survivors()) <= reached
     switch.touch()
     recover_s = graph.probe.wait_for_frame(graph.began_ns, math.inf)
     time.sleep(held_s)
     stamps = [seen.stamp_ns for seen in list(graph.probe.reconstructed)]
     assert all(b > a for a, b in itertools.pairwise(stamps))
-    assert ended(graph, "the wall clock steps back by 1 h", recover_s=recover_s).lost == 0
+    assert (
+        ended(graph, "the wall clock steps back by 1 h", recover_s=recover_s).lost == 0
+    )
 
 
 @contextlib.contextmanager
@@ -295,7 +325,11 @@ def test_subscribers_that_never_read_cost_the_stream_no_frame(begun, ended, held
             stack.enter_context(stalled(graph.note()["nodes"][name]["endpoint"]))
         time.sleep(held_s)
         recover_s = graph.probe.wait_for_frame(max_age_ns=math.inf)
-        grew_mb = max((own_bytes(pid) - before[name]) / 1e6 for name, pid in nodes.items())
+        grew_mb = max(
+            (own_bytes(pid) - before[name]) / 1e6 for name, pid in nodes.items()
+        )
         finding = f"memory grew by {grew_mb:.1f} MB at most"
-        found = ended(graph, "100 subscribers each", finding=finding, recover_s=recover_s)
+        found = ended(
+            graph, "100 subscribers each", finding=finding, recover_s=recover_s
+        )
     assert found.lost == 0

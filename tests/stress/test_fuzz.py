@@ -122,7 +122,9 @@ def _mutated(payload, rng):
 def hostile_subscription(rng):
     """Random bytes from a reader to a writer: a subscription, an unasked answer, or anything."""
     what = rng.bytes(int(rng.integers(0, MAX_RANDOM_BYTES)))
-    return (b"", b"\0", b"\x01", b"\x01@", b"\x01@probe#node:", b"\0@")[rng.integers(6)] + what
+    return (b"", b"\0", b"\x01", b"\x01@", b"\x01@probe#node:", b"\0@")[
+        rng.integers(6)
+    ] + what
 
 
 class Harness:
@@ -136,10 +138,19 @@ class Harness:
         self.topics = topics
         self.streams = [topic for topic in topics if not is_latched(topic)]
         cls = node_class(type_name)
-        spec = NodeSpec(type_name, type_name, cls, values, cls.Settings.from_mapping(values))
-        settings = {"name": type_name, "type": type_name, "settings": values, "endpoint": ANY}
+        spec = NodeSpec(
+            type_name, type_name, cls, values, cls.Settings.from_mapping(values)
+        )
+        settings = {
+            "name": type_name,
+            "type": type_name,
+            "settings": values,
+            "endpoint": ANY,
+        }
         joined = {"readers": [], "inputs": topics, "offset_ns": wall_offset_ns()}
-        (self.node,) = start_process([(spec, {**settings, **joined, "max_frames": None})])
+        (self.node,) = start_process(
+            [(spec, {**settings, **joined, "max_frames": None})]
+        )
         self.events = []
         self._selector = selectors.DefaultSelector()
         self._selector.register(self.node.pipes[0], selectors.EVENT_READ)
@@ -183,7 +194,9 @@ class Harness:
 
     def send(self, messages):
         """Publish messages of its topics."""
-        self.write(wire_bytes(message) for message in messages if message.topic in self.topics)
+        self.write(
+            wire_bytes(message) for message in messages if message.topic in self.topics
+        )
 
     def subscribe(self, notes):
         """Send the node subscriptions, as they stand, over one connection."""
@@ -210,7 +223,9 @@ class Harness:
 
 
 @pytest.mark.parametrize("type_name", TYPES)
-def test_hostile_messages_and_subscriptions_end_no_process(type_name, full, note, tmp_path):
+def test_hostile_messages_and_subscriptions_end_no_process(
+    type_name, full, note, tmp_path
+):
     n = 200_000 if full else 30_000
     rng = np.random.default_rng(5)
     sound = sound_messages(tmp_path, SOUND_RUN, N_SOUND)
@@ -229,14 +244,22 @@ def test_hostile_messages_and_subscriptions_end_no_process(type_name, full, note
         # Over one connection, and over another, which can use what the first has freed.
         subscribed_mb = []
         for _ in range(2 * bool(cls.outputs(harness.node.spec.settings))):
-            harness.subscribe(hostile_subscription(rng) for _ in range(round(SUBSCRIPTIONS * n)))
+            harness.subscribe(
+                hostile_subscription(rng) for _ in range(round(SUBSCRIPTIONS * n))
+            )
             harness.drained()
             subscribed_mb.append(round(harness.memory_mb(), 2))
         harness.send(chain(sound, ends(harness.streams, SOUND_RUN, N_SOUND)))
         counts = harness.event("ended")["counts"]
         assert harness.node.exit_code() is None
     refused = counts["refused"]
-    note(node=type_name, messages=n, refused=refused, MB=memory_mb, subscribed_mb=subscribed_mb)
+    note(
+        node=type_name,
+        messages=n,
+        refused=refused,
+        MB=memory_mb,
+        subscribed_mb=subscribed_mb,
+    )
     assert sum(refused.values()) > n / 2
     assert {"truncated", "malformed", "bad field"} <= refused.keys()
     # A leak grows in each tenth of the messages. A late import, a cache that fills, and memory

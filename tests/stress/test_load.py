@@ -22,7 +22,9 @@ def graph_text(scene, rate_hz):
     """Launch file of a graph with a node that notes latencies."""
     sensor = {"source": f"sparseskin.studies.looped:{scene}", "rate_hz": rate_hz}
     return (
-        launch_text({"sensor": sensor, "compressor": {}, "reconstructor": {"depth": DEPTH}})
+        launch_text(
+            {"sensor": sensor, "compressor": {}, "reconstructor": {"depth": DEPTH}}
+        )
         + LATENCIES
     )
 
@@ -52,22 +54,31 @@ def test_a_bridge_beside_a_graph_does_not_make_its_frames_wait(kind, full, note)
     assert found["us_a_frame"] > 0
 
 
-@pytest.mark.parametrize(("rate_hz", "speed"), [(100, 1.0), (100, 10.0), (1000, 0.1), (1000, 1.0)])
+@pytest.mark.parametrize(
+    ("rate_hz", "speed"), [(100, 1.0), (100, 10.0), (1000, 0.1), (1000, 1.0)]
+)
 def test_a_replay_keeps_its_rate(rate_hz, speed, full, note, tmp_path):
     n_frames = round(rate_hz * speed * (60.0 if full else 1.0)) + 1
     forces = np.zeros((8, 8), np.float32)
     with BagWriter(tmp_path / "in.mcap", {"scene": "timing"}) as bag:
         for k in range(n_frames):
             stamp_ns = k * 1_000_000_000 // rate_hz
-            frame = Taxels(stamp_ns=stamp_ns, patch="skin", run_id="0" * 16, seq=k, forces=forces)
+            frame = Taxels(
+                stamp_ns=stamp_ns, patch="skin", run_id="0" * 16, seq=k, forces=forces
+            )
             bag.record(frame, stamp_ns)
-    nodes = {"player": {"file": "in.mcap", "rate": speed}, "recorder": {"out": "out.mcap"}}
+    nodes = {
+        "player": {"file": "in.mcap", "rate": speed},
+        "recorder": {"out": "out.mcap"},
+    }
     with GraphRun(launch_text(nodes), folder=tmp_path) as graph:
         assert graph.wait(None) == 0
     with BagReader(tmp_path / "out.mcap") as bag:
         sent_ns = np.array([message.stamp_ns for message in bag.messages()], np.int64)
     assert len(sent_ns) == n_frames
-    late_ms = (sent_ns - sent_ns[0] - np.arange(n_frames) * 1e9 / (rate_hz * speed)) / 1e6
+    late_ms = (
+        sent_ns - sent_ns[0] - np.arange(n_frames) * 1e9 / (rate_hz * speed)
+    ) / 1e6
     # Frames are never early, so the earliest of many shows where the schedule lies.
     late_ms -= late_ms.min()
     tenth = max(1, n_frames // 10)
@@ -75,5 +86,7 @@ def test_a_replay_keeps_its_rate(rate_hz, speed, full, note, tmp_path):
         **{"recorded, Hz": rate_hz, "rate": speed, "frames": n_frames},
         **{f"p{q} ms": round(float(np.percentile(late_ms, q)), 3) for q in (50, 99)},
         achieved_hz=round((n_frames - 1) / ((sent_ns[-1] - sent_ns[0]) / 1e9), 2),
-        drift_ms=round(float(np.median(late_ms[-tenth:]) - np.median(late_ms[:tenth])), 3),
+        drift_ms=round(
+            float(np.median(late_ms[-tenth:]) - np.median(late_ms[:tenth])), 3
+        ),
     )

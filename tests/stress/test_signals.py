@@ -9,7 +9,10 @@ from processes import PATIENCE_S, SENSOR, Program
 from stress.graphs import FULL
 
 N_STARTS = 200 if FULL else 4
-ENDED = {-signal.SIGTERM: "before the handler was there", 128 + signal.SIGTERM: "by the handler"}
+ENDED = {
+    -signal.SIGTERM: "before the handler was there",
+    128 + signal.SIGTERM: "by the handler",
+}
 """Return codes of a process whose exit code a shell reports as 143."""
 
 

@@ -69,7 +69,9 @@ def measure(seconds, rate_hz, side):
     return {
         "samples": found,
         "frames": summary["patches"]["skin"]["frames"],
-        "lost": {name: sum(node["lost"].values()) for name, node in summary["nodes"].items()},
+        "lost": {
+            name: sum(node["lost"].values()) for name, node in summary["nodes"].items()
+        },
         "restarts": sum(node["restarts"] for node in summary["nodes"].values()),
         "exit_code": code,
         "contacts": contacts,
@@ -81,11 +83,16 @@ def _contacts(path, part_s):
     with BagReader(path) as bag:
         found = [
             (message.stamp_ns, message.id.size, float(message.total.sum()))
-            for message in (decode(read.topic.encode(), read.payload) for read in bag.messages())
+            for message in (
+                decode(read.topic.encode(), read.payload) for read in bag.messages()
+            )
             if isinstance(message, Contacts)
         ]
     stamps_ns, counts, totals = np.array(found).T
-    parts = stamps_ns < stamps_ns[0] + 1e9 * part_s, stamps_ns > stamps_ns[-1] - 1e9 * part_s
+    parts = (
+        stamps_ns < stamps_ns[0] + 1e9 * part_s,
+        stamps_ns > stamps_ns[-1] - 1e9 * part_s,
+    )
     return [(float(counts[part].mean()), float(totals[part].mean())) for part in parts]
 
 
@@ -103,10 +110,15 @@ def verdict(samples, name):
         np.array(samples[name][what])[after] for what in ("memory_mb", "files", "cpu_s")
     )
     fifth = max(1, len(time_s) // 5)
-    before_mb, after_mb = (float(np.median(p)) for p in (memory_mb[:fifth], memory_mb[-fifth:]))
+    before_mb, after_mb = (
+        float(np.median(p)) for p in (memory_mb[:fifth], memory_mb[-fifth:])
+    )
     return {
         **{"before_mb": before_mb, "after_mb": after_mb},
-        **{"files_before": int(files[:-fifth].max()), "files_after": int(files[-fifth:].max())},
+        **{
+            "files_before": int(files[:-fifth].max()),
+            "files_after": int(files[-fifth:].max()),
+        },
         "cpu": float((cpu_s[-1] - cpu_s[0]) / (time_s[-1] - time_s[0])),
     }
 
@@ -127,7 +139,9 @@ def test_a_graph_that_runs_for_a_while_leaks_nothing_and_loses_nothing(full, not
     frames = found["frames"]
     note(process="frames", **frames)
     note(process="contacts, mean number and force", first_last=str(found["contacts"]))
-    assert frames["sensed"] == frames["reconstructed"] + frames["skipped"] + frames["lost"]
+    assert (
+        frames["sensed"] == frames["reconstructed"] + frames["skipped"] + frames["lost"]
+    )
     assert found["restarts"] == 0
     first, last = found["contacts"]
     np.testing.assert_allclose(last, first, rtol=0.02)

@@ -30,8 +30,20 @@ def test_processor_time_of_a_frame_that_takes_the_same_each_time(n, begin_ns, fr
 
 def test_ratios_are_those_of_the_nodes_that_both_have():
     ages = {"p50_ms": 2.0, "p99_ms": 3.0, "lost": 0}
-    ours = {"sensor_us": 1, "compressor_us": 2, "reconstructor_us": 6, "monitor_us": 100, **ages}
-    least = {"sensor_us": 1, "compressor_us": 1, "reconstructor_us": 1, **ages, "p50_ms": 0.5}
+    ours = {
+        "sensor_us": 1,
+        "compressor_us": 2,
+        "reconstructor_us": 6,
+        "monitor_us": 100,
+        **ages,
+    }
+    least = {
+        "sensor_us": 1,
+        "compressor_us": 1,
+        "reconstructor_us": 1,
+        **ages,
+        "p50_ms": 0.5,
+    }
     found = beside.together(ours, least)
     assert found["cpu ratio"] == 3
     assert found["p50 ratio"] == 4

@@ -49,7 +49,9 @@ def test_noise_of_a_frame_does_not_depend_on_which_frames_are_asked_for():
     every = list(scene_frames("lift_box_40", 3, stop=335))
     some = list(scene_frames("lift_box_40", 3, first=315, stop=335, every=5))
     assert len(some) == 4
-    for (truth, taxels), (truth_again, taxels_again) in zip(every[315::5], some, strict=True):
+    for (truth, taxels), (truth_again, taxels_again) in zip(
+        every[315::5], some, strict=True
+    ):
         np.testing.assert_array_equal(truth, truth_again)
         np.testing.assert_array_equal(taxels, taxels_again)
 
@@ -57,7 +59,9 @@ def test_noise_of_a_frame_does_not_depend_on_which_frames_are_asked_for():
 def test_frames_of_a_scene_are_counted_from_its_first_contact_and_from_half_way_on():
     frames = SceneFrames("lift_box_40", -4, 6, 2, later=3)
     contact = first_contact("lift_box_40", 0)
-    truths = [truth.max() for truth, _ in scene_frames("lift_box_40", 0, stop=contact + 1)]
+    truths = [
+        truth.max() for truth, _ in scene_frames("lift_box_40", 0, stop=contact + 1)
+    ]
     assert max(truths[:-1]) <= 0.01 < truths[-1]
     (first, stop), (half, end) = frames.windows(0)
     assert first == contact - 4
@@ -83,12 +87,17 @@ def test_the_part_of_a_recording_is_the_loaded_one_next_to_its_middle(tmp_path):
 
 def test_a_bag_of_a_recording_is_the_same_as_its_file(folder):
     import_file(folder / "press.npz", folder / "copy.mcap")
-    assert [path.name for path in readable(files_in(folder), 60)] == ["copy.mcap", "press.npz"]
+    assert [path.name for path in readable(files_in(folder), 60)] == [
+        "copy.mcap",
+        "press.npz",
+    ]
     bag, file = (
         RecordedFrames(str(folder / name), "", 60, unscored=8).open(0)
         for name in ("copy.mcap", "press.npz")
     )
-    for one, other in zip(*(pair for take in (bag, file) for pair in take.parts()), strict=True):
+    for one, other in zip(
+        *(pair for take in (bag, file) for pair in take.parts()), strict=True
+    ):
         np.testing.assert_array_equal(one, other)
     np.testing.assert_array_equal(bag.mask, file.mask)
     assert bag.f_max == file.f_max
@@ -121,7 +130,9 @@ def test_unusable_files_get_one_line_each_and_are_skipped(folder, capsys):
 
 def frames_of(body="peg", shape=(20, 20), n=80, seed=0, **chosen):
     pairs = list(press_frames(body, shape, n, seed, **chosen))
-    return np.array([truth for truth, _ in pairs]), np.array([reading for _, reading in pairs])
+    return np.array([truth for truth, _ in pairs]), np.array(
+        [reading for _, reading in pairs]
+    )
 
 
 @pytest.mark.parametrize("shape", SKINS)
@@ -151,7 +162,9 @@ def test_a_moving_body_moves_by_its_speed_in_each_frame_but_where_it_turns_back(
     i, j = np.indices((64, 64))
     pressed = truth[N_BEFORE + 1 :].astype(np.float64)
     totals = pressed.sum(axis=(1, 2))
-    centres = np.stack([(pressed * of).sum(axis=(1, 2)) / totals for of in (i, j)], axis=1)
+    centres = np.stack(
+        [(pressed * of).sum(axis=(1, 2)) / totals for of in (i, j)], axis=1
+    )
     steps = np.linalg.norm(np.diff(centres, axis=0), axis=1)
     assert np.median(steps) == pytest.approx(speed, rel=0.05)
 

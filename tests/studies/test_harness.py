@@ -19,7 +19,14 @@ from sparseskin.studies.baselines.sampling import (
     Lattice,
     classes,
 )
-from sparseskin.studies.evaluate import VALUE_BYTES, Reading, Scores, Solved, evaluate, make_method
+from sparseskin.studies.evaluate import (
+    VALUE_BYTES,
+    Reading,
+    Scores,
+    Solved,
+    evaluate,
+    make_method,
+)
 from sparseskin.studies.frames import PressFrames, UntouchedFrames
 from sparseskin.studies.harness import (
     SCORES,
@@ -53,7 +60,9 @@ def test_points_are_the_product_and_what_is_timed_is_run_by_itself():
 
 def test_all_estimators_of_a_ratio_send_the_same_bytes_to_within_rounding(tmp_path):
     scores = ("n_bytes", "n_contact", "mean_db")
-    run = Experiment("all", [PRESS], [Measurement(3)], CANDIDATES, scores).run(tmp_path, "serial")
+    run = Experiment("all", [PRESS], [Measurement(3)], CANDIDATES, scores).run(
+        tmp_path, "serial"
+    )
     rows = unrefused(run).set_index("method")
     assert set(rows.index) == set(CANDIDATES) >= set(SIMPLE)
     assert rows["n_bytes"].astype(float).tolist() == pytest.approx(
@@ -66,13 +75,17 @@ def test_all_estimators_of_a_ratio_send_the_same_bytes_to_within_rounding(tmp_pa
     assert rows["seed"].tolist() == [0, 0, 1, 1]
     assert len({str(db) for db in rows["psnr_db"]}) == 4
     every = READINGS | {kind: Candidate(of=kind) for kind in CODECS}
-    read = Experiment("read", [PRESS], [Measurement(1)], every, scores).run(tmp_path, "serial")
+    read = Experiment("read", [PRESS], [Measurement(1)], every, scores).run(
+        tmp_path, "serial"
+    )
     assert (unrefused(read)["mean_db"] > 30).all()
 
 
 def test_what_does_not_go_together_is_refused_by_name_and_the_others_are_run(tmp_path):
     chosen = {"good": PAPER, "bad": Candidate({**PRESETS["paper"], "iterations": 0})}
-    rows = Experiment("a", [PRESS], [Measurement(3)], chosen, ("mean_db",)).run(tmp_path, "serial")
+    rows = Experiment("a", [PRESS], [Measurement(3)], chosen, ("mean_db",)).run(
+        tmp_path, "serial"
+    )
     found = rows.set_index("method")
     assert found.loc["good", "refused"] == ""
     assert "iterations = 0" in found.loc["bad", "refused"]
@@ -112,7 +125,11 @@ def test_marks_and_estimates_are_compared_with_the_true_errors():
         flagged = k % 2 == 1 and k % 10 != 5
         error = off * (2 if k % 10 == 0 else 1)
         scores.add(Solved((1 + off) * truth, error=error, flagged=flagged), truth)
-    found = {name: SCORES[name](scores) for name in SCORES if "flag" in name or "estim" in name}
+    found = {
+        name: SCORES[name](scores)
+        for name in SCORES
+        if "flag" in name or "estim" in name
+    }
     assert SCORES["n_wrong"](scores) == 10
     assert SCORES["n_right"](scores) == 10
     assert found["flagged_wrong"] == 80
@@ -156,10 +173,15 @@ def test_a_method_is_the_solver_on_its_own_measurements():
     chosen = {"solver": "fista", "iterations": 5, "lambda_n": 0.01}
     method = make_method(chosen, SHAPE, 2, seed=3, rows=FIXED)
     phi = make_phi("sbhe", n=64, m=32, seed=3)
-    solver = make_solver("fista", phi, make_basis("haar", *SHAPE), iterations=5, lambda_n=0.01)
+    solver = make_solver(
+        "fista", phi, make_basis("haar", *SHAPE), iterations=5, lambda_n=0.01
+    )
     scores = evaluate({"fista": method}, FRAMES)["fista"]
     expected = [solver.solve(phi.forward(taxels.reshape(-1))) for _, taxels in FRAMES]
-    errors = [psnr_db(forces - truth, 2.5) for forces, truth in zip(expected, TRUTHS, strict=True)]
+    errors = [
+        psnr_db(forces - truth, 2.5)
+        for forces, truth in zip(expected, TRUTHS, strict=True)
+    ]
     assert scores.psnr_db == errors
     assert scores.n_steps == [5, 5]
     assert all(wall_s > 0 for wall_s in scores.wall_s)
@@ -230,9 +252,14 @@ def test_the_filter_halves_the_noise_and_follows_a_jump_at_once():
 def test_codecs_keep_eight_bits_and_state_their_size(kind):
     codec = Codec(EVERY, 50.0, kind)
     for frame in (press(5), press(5.5), np.zeros(GRID, np.float32)):
-        assert np.abs(codec.reconstruct(frame).forces - frame).max() <= 0.5001 * 50 / 255
+        assert (
+            np.abs(codec.reconstruct(frame).forces - frame).max() <= 0.5001 * 50 / 255
+        )
     codec.reconstruct(np.zeros(GRID, np.float32))
     assert codec.reconstruct(np.zeros(GRID, np.float32)).n_bytes < 30
     # Touched taxels cost a byte each, and a bit a taxel.
     frame = press(5)
-    assert kind != "touched" or codec.reconstruct(frame).n_bytes == np.count_nonzero(frame) + 15
+    assert (
+        kind != "touched"
+        or codec.reconstruct(frame).n_bytes == np.count_nonzero(frame) + 15
+    )

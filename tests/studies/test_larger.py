@@ -12,7 +12,9 @@ from sparseskin.studies.baselines.larger import LargerTaxels, neighbours
 def masks(draw):
     """Masks of 1 to 12 rows and columns with a taxel at least."""
     shape = draw(st.tuples(st.integers(1, 12), st.integers(1, 12)))
-    mask = np.random.default_rng(draw(st.integers(0, 99))).random(shape) < draw(st.floats(0.2, 1))
+    mask = np.random.default_rng(draw(st.integers(0, 99))).random(shape) < draw(
+        st.floats(0.2, 1)
+    )
     mask.flat[0] = True
     return mask
 
@@ -20,7 +22,10 @@ def masks(draw):
 @given(masks(), st.data(), st.integers(0, 9))
 def test_sums_of_groups_are_kept_and_forces_are_not_negative(mask, data, seed):
     larger = LargerTaxels(mask, data.draw(st.integers(1, int(mask.sum()))))
-    taxels = np.random.default_rng(seed).exponential(1.0, mask.shape).astype(np.float32) * mask
+    taxels = (
+        np.random.default_rng(seed).exponential(1.0, mask.shape).astype(np.float32)
+        * mask
+    )
     taxels *= np.random.default_rng(seed + 1).random(mask.shape) < 0.3
     forces = larger.reconstruct(taxels).forces
     assert (forces >= 0).all()
@@ -46,6 +51,8 @@ def test_groups_of_a_square_number_are_squares(ratio, side):
 def test_all_taxels_and_even_loads_are_as_they_are():
     taxels = np.random.default_rng(0).random((6, 7), dtype=np.float32)
     mask = np.ones(taxels.shape, np.bool_)
-    assert np.allclose(LargerTaxels(mask, 42).reconstruct(taxels).forces, taxels, atol=1e-6)
+    assert np.allclose(
+        LargerTaxels(mask, 42).reconstruct(taxels).forces, taxels, atol=1e-6
+    )
     even = LargerTaxels(mask, 8).reconstruct(np.full_like(taxels, 0.7)).forces
     assert np.allclose(even, 0.7, atol=1e-5)

@@ -54,7 +54,9 @@ def test_what_a_scene_carries_changes_its_frames_and_the_time_step_does_not():
 )
 def test_verdicts(carried, change_db, above, variant, scene, said):
     row = {"carried": carried, "change_db": change_db, "above_noise": above}
-    assert verdict({**row, "variant": variant, "scene": scene, "noise_db": 47.0}) == said
+    assert (
+        verdict({**row, "variant": variant, "scene": scene, "noise_db": 47.0}) == said
+    )
 
 
 def test_the_stages_of_a_frame_add_up_to_its_age():
@@ -77,7 +79,10 @@ def test_quantiles_and_the_stages_around_them():
     for name, q in QUANTILES.items():
         assert found[f"{name}_ms"] == round(float(np.quantile(total, q)), 4)
         # What the stages around a quantile add up to is that quantile, nearly.
-        assert abs(sum(found[f"{name} {stage}"] for stage in STAGES) - found[f"{name}_ms"]) < 0.1
+        assert (
+            abs(sum(found[f"{name} {stage}"] for stage in STAGES) - found[f"{name}_ms"])
+            < 0.1
+        )
 
 
 @pytest.mark.slow
@@ -90,7 +95,9 @@ def test_the_skin_is_touched_in_the_frames_that_are_timed(scene):
 
 
 @pytest.mark.parametrize("delta", [0.1, 0.3, 0.5, 0.9])
-def test_weak_threshold_is_where_the_cone_of_l1_has_as_many_dimensions_as_measurements(delta):
+def test_weak_threshold_is_where_the_cone_of_l1_has_as_many_dimensions_as_measurements(
+    delta,
+):
     # Amelunxen, Lotz, McCoy, Tropp (2014), Proposition 4.5, computed in its own way.
     share = weak_threshold(delta) * delta
 
@@ -105,7 +112,13 @@ def test_weak_threshold_is_where_the_cone_of_l1_has_as_many_dimensions_as_measur
 def test_failing_is_said_on_both_sides_of_the_best_value():
     heights = {1: 40.0, 2: 44.0, 3: 45.0, 4: 43.0, 5: 41.9, 6: 30.0}
     rows = pd.DataFrame(
-        {"value": v, "mean_db": h, "touched_db": 10.0, "noisy_mean_db": 40.0, "noisy_touched_db": 9}
+        {
+            "value": v,
+            "mean_db": h,
+            "touched_db": 10.0,
+            "noisy_mean_db": 40.0,
+            "noisy_touched_db": 9,
+        }
         for v, h in heights.items()
     )
     assert failing(rows, Sweep("")) == "≤ 1 and ≥ 5"
@@ -120,4 +133,6 @@ def test_it_stops_where_a_side_gets_odd_and_is_haar_where_none_does():
     image = np.random.default_rng(0).standard_normal((64, 64), dtype=np.float32)
     few = FewLevelsHaarBasis(64, 64)
     all_levels = HaarBasis(64, 64)
-    np.testing.assert_allclose(few.analysis(image), all_levels.analysis(image), atol=1e-5)
+    np.testing.assert_allclose(
+        few.analysis(image), all_levels.analysis(image), atol=1e-5
+    )

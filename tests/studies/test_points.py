@@ -96,7 +96,9 @@ def test_a_run_that_is_killed_goes_on_where_it_was(tmp_path):
     code, stderr = Run(tmp_path, "process:2").finish()
     assert code == 0, stderr
     assert "4 of 8 points are known" in stderr
-    assert (tmp_path / "out/squares/squares.md").read_text() == str([k**2 for k in range(8)])
+    assert (tmp_path / "out/squares/squares.md").read_text() == str(
+        [k**2 for k in range(8)]
+    )
     assert n_under_way <= 2
     assert sum(calls(tmp_path).values()) == 8 + n_under_way
     assert all(calls(tmp_path)[k] == 1 for k in range(4))
@@ -137,21 +139,32 @@ def test_figures_are_in_the_order_of_the_points_and_the_same_when_read(tmp_path)
     assert n_lines(tmp_path / POINTS_FILE) == 3
 
 
-def test_points_of_earlier_runs_are_reported_until_forgotten(tmp_path, monkeypatch, capsys):
+def test_points_of_earlier_runs_are_reported_until_forgotten(
+    tmp_path, monkeypatch, capsys
+):
     compute(double, [{"k": 1}], tmp_path, "serial", "doubles")
     compute(double, [{"k": 1}, {"k": 2}], tmp_path, "serial", "doubles")
-    assert "1 of 2 points are known from an earlier run (--anew" in capsys.readouterr().err
+    assert (
+        "1 of 2 points are known from an earlier run (--anew" in capsys.readouterr().err
+    )
     monkeypatch.setattr(points_module, "code_fingerprint", lambda: "another")
     compute(double, [{"k": 1}, {"k": 2}, {"k": 3}], tmp_path, "serial", "doubles")
-    assert "2 of 3 points are known from an earlier run, 2 of them by" in capsys.readouterr().err
+    assert (
+        "2 of 3 points are known from an earlier run, 2 of them by"
+        in capsys.readouterr().err
+    )
     forget(tmp_path)
     assert n_lines(tmp_path / POINTS_FILE) == 0
     compute(double, [{"k": 1}], tmp_path, "serial", "doubles")
     assert "known from an earlier run" not in capsys.readouterr().err
 
 
-def test_a_point_that_fails_is_named_and_a_second_run_in_the_same_folder_refused(tmp_path):
-    with pytest.raises(StudyError, match=r"point k = 2: ValueError: two is not allowed"):
+def test_a_point_that_fails_is_named_and_a_second_run_in_the_same_folder_refused(
+    tmp_path,
+):
+    with pytest.raises(
+        StudyError, match=r"point k = 2: ValueError: two is not allowed"
+    ):
         compute(fail_on_two, [{"k": k} for k in range(3)], tmp_path, "serial", "some")
     assert n_lines(tmp_path / POINTS_FILE) == 2
 

@@ -15,18 +15,28 @@ N = 400
 PERIOD_NS = 1_000_000
 
 
-@given(st.sampled_from(list(processes.PROCESSES)), st.integers(1, 10**6), st.integers(1, 10**6))
-def test_a_process_is_counted_once_and_skipped_frames_are_counted(kind, frame_ns, age_ns):
+@given(
+    st.sampled_from(list(processes.PROCESSES)),
+    st.integers(1, 10**6),
+    st.integers(1, 10**6),
+)
+def test_a_process_is_counted_once_and_skipped_frames_are_counted(
+    kind, frame_ns, age_ns
+):
     of_nodes = processes.PROCESSES[kind]
     n_processes = len({of_nodes.get(node, node) for node in processes.NODES})
     stamps = PERIOD_NS * np.arange(N)
     used = (frame_ns * np.arange(N)).tolist()
     reports = {node: {PROCESSOR: used} for node in processes.NODES}
     reports["sensor"][WATCH] = [[stamp, 1] for stamp in stamps]
-    reports["reconstructor"][WATCH] = [[stamp, 1, 2, age_ns, 4] for stamp in stamps[::2]]
+    reports["reconstructor"][WATCH] = [
+        [stamp, 1, 2, age_ns, 4] for stamp in stamps[::2]
+    ]
     figures = processes._figures(reports, of_nodes)
     counted = (1 - WARM_UP) * N
-    assert figures["cpu_us"] == pytest.approx(n_processes * frame_ns / 1e3, rel=2 / counted)
+    assert figures["cpu_us"] == pytest.approx(
+        n_processes * frame_ns / 1e3, rel=2 / counted
+    )
     assert figures["hz"] == pytest.approx(1e9 / PERIOD_NS)
     assert figures["skipped"] == 0.5
     assert figures["p50_ms"] == pytest.approx(age_ns / 1e6)

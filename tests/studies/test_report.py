@@ -48,13 +48,19 @@ def test_a_page_is_notes_with_values_tables_and_links(quick, tmp_path):
     page.csv("rows", [{"n": 3, "x": 0.1 + 0.2}, {"n": None, "x": 1e-30}])
     with (tmp_path / "rows.csv").open(newline="") as file:
         # Every digit, and whole numbers whole.
-        assert list(csv.reader(file)) == [["n", "x"], ["3", repr(0.1 + 0.2)], ["", "1e-30"]]
+        assert list(csv.reader(file)) == [
+            ["n", "x"],
+            ["3", repr(0.1 + 0.2)],
+            ["", "1e-30"],
+        ]
     page.section("", n=4)
     page.section("Second", FRAME[["n"]], "")
     page.write(["It is so."])
     text = (tmp_path / "some.md").read_text()
     assert text.startswith("# Some page\n\n- It is so.\n")
-    assert "\nOf 4 points.\n\n## Second\n\nText.\n\n| n |\n| --- |\n| 3 |\n| 4 |\n" in text
+    assert (
+        "\nOf 4 points.\n\n## Second\n\nText.\n\n| n |\n| --- |\n| 3 |\n| 4 |\n" in text
+    )
     assert ("A quick run" in text) == quick
     command = "study some --quick" if quick else "study some"
     assert f"[rows.csv](rows.csv). Computed by `sparseskin {command}`." in text
@@ -80,12 +86,17 @@ def draw(out):
 def test_a_chart_is_saved_as_png_and_svg_and_is_the_same_again(tmp_path):
     assert "![Two lines](lines.png)" in draw(tmp_path / "a") == draw(tmp_path / "b")
     for name in ("lines.png", "lines.svg"):
-        assert (tmp_path / "a" / name).read_bytes() == (tmp_path / "b" / name).read_bytes()
+        assert (tmp_path / "a" / name).read_bytes() == (
+            tmp_path / "b" / name
+        ).read_bytes()
 
 
 def test_a_folder_that_cannot_be_written_to_is_named(tmp_path):
     out = tmp_path / "no_such"
-    with pytest.raises(StudyError, match=r"no_such.*No such file"), Chart(out, "chart", "A chart"):
+    with (
+        pytest.raises(StudyError, match=r"no_such.*No such file"),
+        Chart(out, "chart", "A chart"),
+    ):
         pass
     (tmp_path / "notes.md").write_text(NOTES)
     page = Page(out, "page", tmp_path / "notes.md", quick=False)
@@ -95,9 +106,13 @@ def test_a_folder_that_cannot_be_written_to_is_named(tmp_path):
         page.write([])
 
 
-def test_without_a_package_of_the_extra_one_line_names_it_and_the_extra(monkeypatch, capsys):
+def test_without_a_package_of_the_extra_one_line_names_it_and_the_extra(
+    monkeypatch, capsys
+):
     package = command.EXTRA[-1]
-    monkeypatch.setattr(command, "find_spec", lambda name: None if name == package else name)
+    monkeypatch.setattr(
+        command, "find_spec", lambda name: None if name == package else name
+    )
     assert main(["study", "paper-tables"]) == 2
     error = capsys.readouterr().err
     assert f"{package} is not installed" in error
@@ -116,7 +131,9 @@ def problem_of(lambda_n=0.01, sigma_n=0.0):
 
 def minimum(problem, y):
     """Coefficients after 1000 iterations of the project's FISTA."""
-    solver = FistaSolver(problem.phi, problem.basis, iterations=1000, lambda_n=problem.lambda_n)
+    solver = FistaSolver(
+        problem.phi, problem.basis, iterations=1000, lambda_n=problem.lambda_n
+    )
     solver.solve(y)
     return solver.theta.reshape(-1)
 
@@ -172,7 +189,9 @@ def test_spgl1_fits_to_the_noise_and_finds_nothing_within_it():
     library.reconstruct(frame)
     y = problem.phi.forward(frame.reshape(-1))
     bound = 0.02 * problem.phi.m**0.5
-    assert np.linalg.norm(problem.forward(library._theta) - y) == pytest.approx(bound, rel=0.02)
+    assert np.linalg.norm(problem.forward(library._theta) - y) == pytest.approx(
+        bound, rel=0.02
+    )
     # The true frame explains y as well, so that its coefficients are no fewer in sum.
     assert np.abs(library._theta).sum() < np.abs(problem.basis.analysis(frame)).sum()
     weak = frame * np.float32(0.5 * bound / np.linalg.norm(y))
@@ -213,7 +232,9 @@ def test_total_variation_of_sigpy_finds_an_even_box():
 def test_every_constant_has_a_candidate_halved_and_doubled():
     assert set(constants.PARTS + constants.GROWTHS) <= set(constants.VALUES)
     assert set(constants.SWITCHES) == set(vars(SkinTuning())) - set(constants.VALUES)
-    tunings = [one.settings.get("tuning", {}) for one in constants.candidates().values()]
+    tunings = [
+        one.settings.get("tuning", {}) for one in constants.candidates().values()
+    ]
     for name in constants.VALUES:
         low, high = (tuning[name] for tuning in tunings if name in tuning)
         assert low < getattr(SkinTuning(), name) < high

@@ -45,7 +45,13 @@ SIZES = (
     (paper, {"BEFORE_MAPS": 0}),
     (phase, {"SUM_SOLVERS": SOLVERS, "N_STATIC": 6, "N_JUDGED": 2}),
     (stability, {"QUICK_KINDS": {"load": ("box",), "fault": ("zeros", "stuck blob")}}),
-    (rules, {"QUICK_WORLDS": 1, "RULES": {name: rules.RULES[name] for name in ("bias", "offset")}}),
+    (
+        rules,
+        {
+            "QUICK_WORLDS": 1,
+            "RULES": {name: rules.RULES[name] for name in ("bias", "offset")},
+        },
+    ),
     (speed, {"TIMED_ON": "serial", "QUICK_SIDES": (20,)}),
     (speed_accuracy, {"TIMED_ON": "serial"}),
     (classifier, {"GRID": {"gamma": (1.0,), "alpha": (0.01,)}}),
@@ -67,7 +73,15 @@ TEXTS = {
 PACKAGES = {"tasks": "sklearn", "train": "torch"}
 """A package that a study needs beside those of all."""
 
-LONG = ("accuracy", "paper-tables", "speed", "speed-accuracy", "stability", "tasks", "train")
+LONG = (
+    "accuracy",
+    "paper-tables",
+    "speed",
+    "speed-accuracy",
+    "stability",
+    "tasks",
+    "train",
+)
 """Studies that take more than some seconds even so."""
 
 
@@ -89,7 +103,10 @@ def small(monkeypatch):
             yield first, min(stop or first + 1000, first + N_FRAMES * self.every)
 
     monkeypatch.setattr(frames.SceneFrames, "windows", few)
-    for kind, n_frames in (("PressFrames", N_BEFORE + N_FRAMES), ("UntouchedFrames", N_FRAMES)):
+    for kind, n_frames in (
+        ("PressFrames", N_BEFORE + N_FRAMES),
+        ("UntouchedFrames", N_FRAMES),
+    ):
         cls = getattr(frames, kind)
 
         def opened(self, seed, n=n_frames, whole=cls.open):
@@ -128,7 +145,9 @@ def recordings(tmp_path):
         for name in command.STUDIES
     ],
 )
-def test_a_study_writes_its_page_with_all_tables_and_charts(name, tmp_path, recordings, capsys):
+def test_a_study_writes_its_page_with_all_tables_and_charts(
+    name, tmp_path, recordings, capsys
+):
     if name in PACKAGES:
         pytest.importorskip(PACKAGES[name])
     out = tmp_path / "out"
@@ -137,7 +156,9 @@ def test_a_study_writes_its_page_with_all_tables_and_charts(name, tmp_path, reco
         options = ["--recordings", str(recordings), "--seeds", "1", "--constants"]
     if name == "tasks":
         frames_of_12 = np.random.default_rng(0).uniform(0, 1, (12, 16, 16))
-        np.savez(tmp_path / "set.npz", frames=frames_of_12, labels=np.array(["a", "b"] * 6))
+        np.savez(
+            tmp_path / "set.npz", frames=frames_of_12, labels=np.array(["a", "b"] * 6)
+        )
         options = ["--data", str(tmp_path)]
     options += ["--quick", "--executor", "serial", "--out", str(out)]
     assert main(["study", name, *options]) == 0
@@ -150,5 +171,8 @@ def test_a_study_writes_its_page_with_all_tables_and_charts(name, tmp_path, reco
     assert "A quick run" in page
     assert "nan" not in page
     links = set(re.findall(r"\]\(([^)]+)\)", page))
-    assert links == {path.name for path in out.iterdir()} - {f"{name}.md", "points.jsonl"}
+    assert links == {path.name for path in out.iterdir()} - {
+        f"{name}.md",
+        "points.jsonl",
+    }
     assert all((out / link).stat().st_size > 50 for link in links)

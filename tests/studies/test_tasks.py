@@ -18,7 +18,10 @@ from sparseskin.studies.tasks.ways import ALL, FORCES, LARGER, WAYS, n_bytes
 def cover(name, angle):
     """A shape without noise, at the middle."""
     return shapes._forces(
-        shapes.SHAPES[name], angle, np.full(2, (shapes.SIDE - 1) / 2), np.random.default_rng(0)
+        shapes.SHAPES[name],
+        angle,
+        np.full(2, (shapes.SIDE - 1) / 2),
+        np.random.default_rng(0),
     )
 
 

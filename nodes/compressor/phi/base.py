@@ -70,7 +70,9 @@ class BlockLayout(NamedTuple):
     sizes: list[int]  # of the blocks
     permutation: Indices  # taxel of each column
     rows: Indices  # row of each measurement
-    blocks: Indices | None  # block of each measurement; None where blocks are single taxels
+    blocks: (
+        Indices | None
+    )  # block of each measurement; None where blocks are single taxels
 
 
 class Phi(ABC):
@@ -221,7 +223,10 @@ class Phi(ABC):
 
     def describe(self) -> dict[str, Any]:
         """Return the arguments of `make_phi` that make it again."""
-        return {name: getattr(self, name) for name in ("kind", "n", "m", "seed", "block", "rule")}
+        return {
+            name: getattr(self, name)
+            for name in ("kind", "n", "m", "seed", "block", "rule")
+        }
 
     @abstractmethod
     def _forward(self, x: Floats, out: Floats) -> None:
@@ -256,7 +261,9 @@ def follow(phi: Phi, **codes: Code | None) -> None:
     if choice:
         code = codes.get(choice)
         if code is None:
-            raise PhiError(f"{phi.kind}: the measurements come without the {choice} of their rows")
+            raise PhiError(
+                f"{phi.kind}: the measurements come without the {choice} of their rows"
+            )
         phi.follow(code)
 
 
@@ -280,18 +287,27 @@ def check_parameters(n: int, m: int, seed: int, block: int) -> None:
     """Raise PhiError, naming the parameter, its value and what is allowed."""
     for name, value in (("n", n), ("m", m), ("seed", seed), ("block", block)):
         if not is_whole(value):
-            raise PhiError(f"phi: {name} = {value!r} is not allowed; allowed: a whole number")
+            raise PhiError(
+                f"phi: {name} = {value!r} is not allowed; allowed: a whole number"
+            )
     for name, value, is_allowed, allowed in (
         ("n", n, 1 <= n <= MAX_TAXELS, f"1..{MAX_TAXELS} taxels"),
         ("m", m, 1 <= m <= n, f"1..{n} (n = {n} taxels)"),
         ("seed", seed, seed >= 0, "0 or more"),
-        ("block", block, block >= 1 and not block & (block - 1), "a power of two (1, 2, 4 ..)"),
+        (
+            "block",
+            block,
+            block >= 1 and not block & (block - 1),
+            "a power of two (1, 2, 4 ..)",
+        ),
     ):
         if not is_allowed:
             raise PhiError(f"phi: {name} = {value} is not allowed; allowed: {allowed}")
 
 
-def fingerprint_of(kind: str, n: int, m: int, block: int, *arrays: npt.NDArray[np.generic]) -> str:
+def fingerprint_of(
+    kind: str, n: int, m: int, block: int, *arrays: npt.NDArray[np.generic]
+) -> str:
     """The first 16 hexadecimal characters of the SHA-256 over the parts of a matrix: integers as
     little-endian int32, floats as little-endian float32, to be the same on every machine.
     """
@@ -347,12 +363,18 @@ def make_phi(
     try:
         made = cls(n=n, m=m, seed=seed, block=block, **chosen)
     except TypeError as cause:
-        raise PhiError(f'phi "{kind}" does not take n, m, seed, block: {cause}') from cause
+        raise PhiError(
+            f'phi "{kind}" does not take n, m, seed, block: {cause}'
+        ) from cause
     missing = [name for name in _INTERFACE if not hasattr(made, name)]
     if missing:
-        raise PhiError(f'phi "{kind}" is no measurement matrix: it lacks {", ".join(missing)}')
+        raise PhiError(
+            f'phi "{kind}" is no measurement matrix: it lacks {", ".join(missing)}'
+        )
     if (made.n, made.m) != (n, m):
-        raise PhiError(f'phi "{kind}" has n = {made.n}, m = {made.m}; expected n = {n}, m = {m}')
+        raise PhiError(
+            f'phi "{kind}" has n = {made.n}, m = {made.m}; expected n = {n}, m = {m}'
+        )
     if not re.fullmatch(FINGERPRINT_PATTERN, str(made.fingerprint)):
         what = f"fingerprint = {ascii(str(made.fingerprint))[:40]}; expected 16 hexadecimal digits"
         raise PhiError(f'phi "{kind}" has {what}, as fingerprint_of makes them')

@@ -36,7 +36,9 @@ class GaussianPhi(Phi):
         super().check_size(n, m, seed, block)
         if n > N_MAX:
             allowed = f"1..{N_MAX} (dense matrix)"
-            raise PhiError(f'phi "gaussian": n = {n} is not allowed; allowed: {allowed}')
+            raise PhiError(
+                f'phi "gaussian": n = {n} is not allowed; allowed: {allowed}'
+            )
 
     def __init__(self, n: int, m: int, seed: int, block: int = BLOCK) -> None:
         super().__init__(n, m, seed, block)

@@ -90,7 +90,9 @@ class BlockHadamard:
             group = slice(start, start + size * sizes.count(size))
             # A stage moves the first bit of a place behind its last one. So the bits of an index
             # within its block, the lowest first, lie before the number of the block, then behind.
-            bits = np.arange(group.start, group.stop).reshape(-1, max(size // 2, 1), min(size, 2))
+            bits = np.arange(group.start, group.stop).reshape(
+                -1, max(size // 2, 1), min(size, 2)
+            )
             self.order_in[group] = bits.transpose(2, 1, 0).ravel()
             self.order_out[group] = bits.transpose(0, 2, 1).ravel()
             self._groups.append((group, size.bit_length() - 1))
@@ -111,7 +113,10 @@ class BlockHadamard:
             for _ in range(n_stages):
                 low, high = (source[part] for part in reads)
                 sums, differences = (target[part] for part in writes)
-                calls += [(np.add, (low, high, sums)), (np.subtract, (low, high, differences))]
+                calls += [
+                    (np.add, (low, high, sums)),
+                    (np.subtract, (low, high, differences)),
+                ]
                 source, target = target, source
             if n_stages % 2:
                 calls.append((np.copyto, (target, source)))
@@ -185,7 +190,9 @@ class HadamardProducts:
 
     def back(self, rows: Floats) -> Floats:
         """Return W^T rows, float32 (n,), from `order_out` to `order_in`."""
-        return np.concatenate([_product_back(rows[part], a, b) for part, a, b in self._groups])
+        return np.concatenate(
+            [_product_back(rows[part], a, b) for part, a, b in self._groups]
+        )
 
 
 def _orthonormal(size: int) -> Floats:

@@ -19,7 +19,9 @@ class FullPhi(Phi):
     def __init__(self, n: int, m: int, seed: int, block: int = BLOCK) -> None:
         super().__init__(n, m, seed, block)
         if m != n:
-            raise PhiError(f'phi "full": m = {m} is not allowed; allowed: {n} (every taxel)')
+            raise PhiError(
+                f'phi "full": m = {m} is not allowed; allowed: {n} (every taxel)'
+            )
         self.fingerprint = fingerprint_of(self.kind, n, m, 1)
 
     def block_layout(self) -> BlockLayout | None:
@@ -48,7 +50,9 @@ class SubsamplePhi(RotatingPhi):
 
     def __init__(self, n: int, m: int, seed: int, block: int = BLOCK) -> None:
         super().__init__(n, m, seed, block)
-        self._order: Indices = np.random.default_rng(seed).permutation(n).astype(np.intp)
+        self._order: Indices = (
+            np.random.default_rng(seed).permutation(n).astype(np.intp)
+        )
         self._keep(np.sort(self._order[:m]))
 
     def block_layout(self) -> BlockLayout | None:

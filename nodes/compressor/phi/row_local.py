@@ -50,12 +50,16 @@ class RowLocalPhi(RotatingPhi):
     def _lay_out(self, exists: Mask) -> None:
         n_rows, n_cols = exists.shape
         if not exists.all():
-            raise PhiError(f"row_local: allowed: a grid of n = {self.n} taxels without gaps")
+            raise PhiError(
+                f"row_local: allowed: a grid of n = {self.n} taxels without gaps"
+            )
         if n_cols > MAX_COLS:
             raise PhiError(f"row_local: {n_cols} columns; allowed: {MAX_COLS} or fewer")
         if self.m < n_rows:
             allowed = f"{n_rows} or more, a pattern of {n_rows} rows"
-            raise PhiError(f"row_local: m = {self.m} is not allowed; allowed: {allowed}")
+            raise PhiError(
+                f"row_local: m = {self.m} is not allowed; allowed: {allowed}"
+            )
         self._arrange(n_rows, n_cols)
 
     def _arrange(self, n_rows: int, n_cols: int) -> None:
@@ -63,9 +67,13 @@ class RowLocalPhi(RotatingPhi):
         rng = np.random.default_rng(self.seed)
         size = 1 << (n_cols - 1).bit_length()
         order = np.append(0, 1 + rng.permutation(size - 1))
-        signs = _independent(hadamard_matrix(size)[np.ix_(order, rng.permutation(n_cols))])
+        signs = _independent(
+            hadamard_matrix(size)[np.ix_(order, rng.permutation(n_cols))]
+        )
         b = signs / math.sqrt(n_cols)
-        self._lipschitz = math.ceil(float(np.linalg.eigvalsh(b @ b.T)[-1]) * 1e4 - 1e-2) / 1e4
+        self._lipschitz = (
+            math.ceil(float(np.linalg.eigvalsh(b @ b.T)[-1]) * 1e4 - 1e-2) / 1e4
+        )
         self.patterns: Floats = b.astype(np.float32)
         self.patterns.setflags(write=False)
         self._order = np.arange(self.n, dtype=np.intp)
@@ -115,7 +123,9 @@ def _independent(signs: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
     orthonormal = np.zeros((0, n_cols))
     for k, row in enumerate(signs):
         residual = row - orthonormal.T @ (orthonormal @ row)
-        residual -= orthonormal.T @ (orthonormal @ residual)  # once more, for the rounding
+        residual -= orthonormal.T @ (
+            orthonormal @ residual
+        )  # once more, for the rounding
         length = float(np.linalg.norm(residual))
         if length > 1e-6:
             independent.append(k)

@@ -58,7 +58,9 @@ class SbhePhi(RotatingPhi):
     by_blocks = True  # of this class itself; a subclass has to state it anew
     _compiled: CompiledHadamard | None = None
 
-    def __init__(self, n: int, m: int, seed: int, block: int = BLOCK, rule: int = SUMS) -> None:
+    def __init__(
+        self, n: int, m: int, seed: int, block: int = BLOCK, rule: int = SUMS
+    ) -> None:
         super().__init__(n, m, seed, block)
         rng = np.random.default_rng(seed)
         permutation = rng.permutation(n).astype(np.intp)
@@ -147,7 +149,9 @@ class SbhePhi(RotatingPhi):
         out[self._deal] = self._v
 
 
-def spread_order(sizes: Sequence[int], rng: np.random.Generator) -> tuple[Indices, Indices]:
+def spread_order(
+    sizes: Sequence[int], rng: np.random.Generator
+) -> tuple[Indices, Indices]:
     """All rows of W in two orders, intp (n,): spread over the blocks (first the sums of the blocks,
     those of the largest first; then the other rows, of which the first k are divided among the
     blocks in proportion to their rows, but that those of `least_m` come earlier); and block by
@@ -281,7 +285,9 @@ class LocalSbhePhi(SbhePhi):
     ) -> None:
         super().__init__(n, m, seed, block, rule)
         root = math.isqrt(n)
-        self._lay_out(np.ones((root, root) if root * root == n else (1, n), dtype=np.bool_))
+        self._lay_out(
+            np.ones((root, root) if root * root == n else (1, n), dtype=np.bool_)
+        )
 
     def _lay_out(self, exists: Mask) -> None:
         rng = np.random.default_rng(self.seed)

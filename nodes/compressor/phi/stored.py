@@ -14,7 +14,12 @@ from scipy.sparse import csr_array
 
 from sparseskin.messages.fields import MAX_ELEMENTS
 from sparseskin.nodes.errors import PhiError
-from sparseskin.nodes.numerics.array_files import ArrayFileError, is_npz, read_npy, read_npz
+from sparseskin.nodes.numerics.array_files import (
+    ArrayFileError,
+    is_npz,
+    read_npy,
+    read_npz,
+)
 from sparseskin.nodes.numerics.arrays import Floats
 
 from .base import BLOCK, MAX_SUBSETS, Phi, fingerprint_of
@@ -50,7 +55,9 @@ class StoredPhi(Phi):
         super().check_size(n, m, seed, block)
         shape = load_matrices(cls.path)[0].shape
         if shape != (m, n):
-            raise PhiError(f"{cls.path}: is {shape[0]} x {shape[1]}; expected m x n = {m} x {n}")
+            raise PhiError(
+                f"{cls.path}: is {shape[0]} x {shape[1]}; expected m x n = {m} x {n}"
+            )
 
     def __init__(self, n: int, m: int, seed: int, block: int = BLOCK) -> None:
         super().__init__(n, m, seed, block)
@@ -72,7 +79,9 @@ class StoredPhi(Phi):
         too small.
         """
         size = abs(self._matrix)
-        of_column, of_row = (float(size.sum(axis=axis, dtype=float).max()) for axis in (0, 1))
+        of_column, of_row = (
+            float(size.sum(axis=axis, dtype=float).max()) for axis in (0, 1)
+        )
         x = np.random.default_rng(0).standard_normal(self.n, dtype=np.float32)
         largest = 0.0
         for _ in range(N_POWER_STEPS):
@@ -122,14 +131,18 @@ def load_matrices(path: str) -> tuple[csr_array, ...]:
     except (ArrayFileError, PhiError) as error:
         raise PhiError(f"{path}: {error}") from error
     except (OSError, ValueError) as error:
-        raise PhiError(f"{path}: cannot be read: {getattr(error, 'strerror', error)}") from error
+        raise PhiError(
+            f"{path}: cannot be read: {getattr(error, 'strerror', error)}"
+        ) from error
 
 
 @functools.lru_cache(maxsize=4)
 def _load(path: str, _of: tuple[int, int, int]) -> tuple[csr_array, ...]:
     """As above, of one form of the file."""
     raw = Path(path).read_bytes()
-    arrays = read_npz(raw, _wanted, MAX_ARRAY_BYTES) if is_npz(raw) else {"": read_npy(raw)}
+    arrays = (
+        read_npz(raw, _wanted, MAX_ARRAY_BYTES) if is_npz(raw) else {"": read_npy(raw)}
+    )
     if len(arrays) == 1 and not arrays.keys() & set(_NAMES):
         (stack,) = arrays.values()
         return _checked_stack(stack)
@@ -162,10 +175,16 @@ def _checked_stack(stack: npt.NDArray[Any]) -> tuple[csr_array, ...]:
 def _checked(arrays: dict[str, npt.NDArray[Any]]) -> csr_array:
     for name in _NAMES:
         if name not in arrays:
-            raise PhiError(f"has no array {name}; expected a file of scipy.sparse.save_npz")
+            raise PhiError(
+                f"has no array {name}; expected a file of scipy.sparse.save_npz"
+            )
     kind = arrays["format"]
     data = arrays["data"]
-    if kind.shape != () or kind.dtype.kind not in "SU" or str(kind.astype(str)) != "csr":
+    if (
+        kind.shape != ()
+        or kind.dtype.kind not in "SU"
+        or str(kind.astype(str)) != "csr"
+    ):
         raise PhiError('format: expected "csr"; convert it by matrix.tocsr()')
     for name in ("indices", "indptr", "shape"):
         if arrays[name].ndim != 1 or arrays[name].dtype.kind not in "iu":

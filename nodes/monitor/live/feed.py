@@ -85,7 +85,9 @@ class PatchFeed:
 
     skin: SkinState | None = None
     maps: dict[str, Floats] = field(default_factory=dict)
-    measurements: deque[Measurements] = field(default_factory=lambda: deque(maxlen=N_MEASURED))
+    measurements: deque[Measurements] = field(
+        default_factory=lambda: deque(maxlen=N_MEASURED)
+    )
     contacts: Contacts | None = None
     label: Labels | None = None
     label_came_s: float = -math.inf
@@ -142,7 +144,9 @@ class Feed:
     """
 
     def __init__(
-        self, patches: tuple[str, ...], poses: Mapping[str, Sequence[float]] | None = None
+        self,
+        patches: tuple[str, ...],
+        poses: Mapping[str, Sequence[float]] | None = None,
     ) -> None:
         self.changed = threading.Condition()
         self.poses = poses or {}
@@ -201,7 +205,9 @@ class Feed:
 
     def _add_frame(self, feed: PatchFeed, frame: FrameMetrics, now_s: float) -> None:
         messages = (frame.taxels, frame.reconstruction, frame.truth)
-        feed.maps = {each.schema: known_forces(each) for each in messages if each is not None}
+        feed.maps = {
+            each.schema: known_forces(each) for each in messages if each is not None
+        }
         if frame.reconstruction is not None:
             feed.idle = frame.reconstruction.unchanged[0]
             feed.note(frame.reconstruction, now_s)

@@ -48,7 +48,9 @@ class Notices:
             current.append((BAD, f"The monitor has not responded for {ago(silent_s)}."))
         graph_age_s = now_s - feed.graph_came_s
         if feed.graph is not None and graph_age_s > GRAPH_S:
-            current.append((BAD, f"No state of the nodes has arrived for {ago(graph_age_s)}."))
+            current.append(
+                (BAD, f"No state of the nodes has arrived for {ago(graph_age_s)}.")
+            )
 
         if feed.start is not None:
             current.append((START, feed.start.text))
@@ -93,7 +95,10 @@ class Notices:
 
         if patch.latency_s > max(LATE_S, patch.stale_s) and not patch.ended:
             late = ago(patch.latency_s)
-            yield BAD, f"frames are reconstructed {late} late: the graph cannot keep up."
+            yield (
+                BAD,
+                f"frames are reconstructed {late} late: the graph cannot keep up.",
+            )
         n_lost = self._risen(f"lost {name}", patch.lost, now_s)
         if n_lost:
             frames = "frames" if n_lost > 1 else "frame"
@@ -134,7 +139,10 @@ def _of_ages(patch: PatchFeed, now_s: float) -> Iterator[Notice]:
         if patch.n_maps > 1:
             yield BAD, "frames are sensed, none is reconstructed."
     elif reconstructed_s > patch.stale_s:
-        yield BAD, f"stale: frames are sensed, none reconstructed for {ago(reconstructed_s)}."
+        yield (
+            BAD,
+            f"stale: frames are sensed, none reconstructed for {ago(reconstructed_s)}.",
+        )
 
 
 def _grouped(by_patch: Mapping[str, list[Notice]]) -> list[Notice]:
@@ -153,7 +161,9 @@ def _grouped(by_patch: Mapping[str, list[Notice]]) -> list[Notice]:
     for (tone, _), of_kind in kinds.items():
         if len(of_kind) > FEW:
             name, text = of_kind[0]
-            grouped.append((tone, f"{name} and {len(of_kind) - 1} other patches: {text}"))
+            grouped.append(
+                (tone, f"{name} and {len(of_kind) - 1} other patches: {text}")
+            )
         else:
             grouped += [(tone, f"{name}: {text}") for name, text in of_kind]
     return grouped
@@ -183,4 +193,7 @@ def _host_state(host: Mapping[str, Any]) -> tuple[str, str]:
     within_ms = host["clock_uncertainty_ms"]
     if within_ms is None:
         return HEARD, "connected"
-    return HEARD, f"connected, clock {host['clock_offset_ms']:+.2f} ± {within_ms:.2f} ms"
+    return (
+        HEARD,
+        f"connected, clock {host['clock_offset_ms']:+.2f} ± {within_ms:.2f} ms",
+    )

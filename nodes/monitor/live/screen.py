@@ -27,7 +27,9 @@ def screen(feed: Feed, notices: Notices, status: str) -> str:
         lines = [_title(graph, current)]
         if graph.get("recording"):
             lines.append(f"recording {graph['recording']}")
-        states = [f"{node['name']}: {node['condition']}" for node in graph.get("nodes", [])]
+        states = [
+            f"{node['name']}: {node['condition']}" for node in graph.get("nodes", [])
+        ]
         lines += textwrap.wrap(", ".join(states), WIDTH)
         lines += [text for _, text in host_lines(graph)]
 
@@ -42,7 +44,9 @@ def screen(feed: Feed, notices: Notices, status: str) -> str:
         # What was measured.
         for line in status.split("\n"):
             lines += textwrap.wrap(line, WIDTH)
-        summaries = {name: patch.summary for name, patch in feed.patches.items() if patch.summary}
+        summaries = {
+            name: patch.summary for name, patch in feed.patches.items() if patch.summary
+        }
         if summaries:
             lines += summary_table(summaries).split("\n")
     return "\n".join(line[:WIDTH] for line in lines)

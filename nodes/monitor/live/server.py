@@ -113,7 +113,9 @@ class PageServer(ThreadingHTTPServer):
         self.max_pages = min(MAX_PAGES, self._max_connections // 2)
 
         options = {"poll_interval": POLL_S}
-        self._thread = threading.Thread(target=self.serve_forever, kwargs=options, daemon=True)
+        self._thread = threading.Thread(
+            target=self.serve_forever, kwargs=options, daemon=True
+        )
         self._thread.start()
 
     def close(self) -> None:
@@ -166,7 +168,11 @@ class PageServer(ThreadingHTTPServer):
     def _end_oldest(self) -> None:
         """End the connection that has waited longest: whoever holds all of them locks none out."""
         with self._lock:
-            waiting = [connection for connection, due_s in self._due_s.items() if due_s < math.inf]
+            waiting = [
+                connection
+                for connection, due_s in self._due_s.items()
+                if due_s < math.inf
+            ]
             if waiting:
                 del self._due_s[waiting[0]]
                 _end(waiting[0])
@@ -244,7 +250,9 @@ class _Handler(BaseHTTPRequestHandler):
             try:
                 url = urlsplit(self.path)
             except ValueError:
-                raise _RefusedError(HTTPStatus.BAD_REQUEST, "malformed address") from None
+                raise _RefusedError(
+                    HTTPStatus.BAD_REQUEST, "malformed address"
+                ) from None
             self._check_token(url)
             action(url)
         except _RefusedError as refusal:
@@ -274,7 +282,9 @@ class _Handler(BaseHTTPRequestHandler):
             raise _RefusedError(HTTPStatus.REQUEST_ENTITY_TOO_LARGE, text)
         # A form of another site cannot send this type.
         if self.headers.get_content_type() != "application/json":
-            raise _RefusedError(HTTPStatus.UNSUPPORTED_MEDIA_TYPE, "expected application/json")
+            raise _RefusedError(
+                HTTPStatus.UNSUPPORTED_MEDIA_TYPE, "expected application/json"
+            )
 
         try:
             request = json.loads(self.rfile.read(int(length)))
@@ -299,16 +309,25 @@ class _Handler(BaseHTTPRequestHandler):
         if ":" in host and not host.endswith("]"):
             name = host.rpartition(":")[0]
         if name not in HOSTS:
-            raise _RefusedError(HTTPStatus.FORBIDDEN, f"Host {host[:64]!r} is not this page's")
+            raise _RefusedError(
+                HTTPStatus.FORBIDDEN, f"Host {host[:64]!r} is not this page's"
+            )
 
         # A browser states from which site a request comes.
         origin = self.headers.get("Origin")
         if origin is not None and origin != f"http://{host}":
-            raise _RefusedError(HTTPStatus.FORBIDDEN, f"Origin {origin[:64]!r} is not this page's")
+            raise _RefusedError(
+                HTTPStatus.FORBIDDEN, f"Origin {origin[:64]!r} is not this page's"
+            )
 
         site = self.headers.get("Sec-Fetch-Site")
-        if site not in (None, "same-origin", "none") and self.path.partition("?")[0] != "/":
-            raise _RefusedError(HTTPStatus.FORBIDDEN, "asked for by a page of another site")
+        if (
+            site not in (None, "same-origin", "none")
+            and self.path.partition("?")[0] != "/"
+        ):
+            raise _RefusedError(
+                HTTPStatus.FORBIDDEN, "asked for by a page of another site"
+            )
 
     def _check_token(self, url: SplitResult) -> None:
         """Refuse who shows the token neither in the address nor in the page's cookie."""
@@ -341,7 +360,9 @@ class _Handler(BaseHTTPRequestHandler):
             raise _RefusedError(HTTPStatus.NOT_FOUND, text)
         with self.server.stream():
             # The stream has no end of its own: only a stalled page is disconnected.
-            self.connection.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, SEND_BUFFER_BYTES)
+            self.connection.setsockopt(
+                socket.SOL_SOCKET, socket.SO_SNDBUF, SEND_BUFFER_BYTES
+            )
             self.connection.settimeout(STALLED_S)
             self.server.expect(self.connection, math.inf)
             self.close_connection = True

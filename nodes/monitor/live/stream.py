@@ -30,7 +30,17 @@ STATE_S = 0.1
 MOST = 16
 """Contacts of a patch that are sent: the strongest ones."""
 CONTACT_FIELDS = (
-    *("id", "total", "total_sd", "centre", "area", "velocity", "age_s", "over", "sliding"),
+    *(
+        "id",
+        "total",
+        "total_sd",
+        "centre",
+        "area",
+        "velocity",
+        "age_s",
+        "over",
+        "sliding",
+    ),
     *("place_mm", "area_mm2", "velocity_mm_s", "normal"),
 )
 SKIN_FIELDS = (
@@ -44,10 +54,14 @@ SLACK_S = 0.005
 Part = tuple[dict[str, Any], dict[str, np.ndarray[Any, Any]]]
 
 
-def record(header: Mapping[str, Any], arrays: Mapping[str, np.ndarray[Any, Any]]) -> bytes:
+def record(
+    header: Mapping[str, Any], arrays: Mapping[str, np.ndarray[Any, Any]]
+) -> bytes:
     """One record as bytes; numbers that are not finite become null in the header."""
     # A page reads arrays by these, one after the other, from the data.
-    forms = [[name, array.dtype.str, list(array.shape)] for name, array in arrays.items()]
+    forms = [
+        [name, array.dtype.str, list(array.shape)] for name, array in arrays.items()
+    ]
     body = finite({**header, "arrays": forms})
     head = json.dumps(body, separators=(",", ":")).encode()
     data = b"".join(np.ascontiguousarray(array).tobytes() for array in arrays.values())
@@ -111,7 +125,9 @@ class StreamReader:
                 return
             if frame_s > 0:
                 feed.changed.wait(min(frame_s, state_s))
-            elif any(feed.patches[name].n_maps != self._n_maps[name] for name in self._names):
+            elif any(
+                feed.patches[name].n_maps != self._n_maps[name] for name in self._names
+            ):
                 return
             else:
                 feed.n_waiting += 1
@@ -131,7 +147,9 @@ class StreamReader:
         if not closed and now_s < self._frame_due_s:
             return
         # The next is due one period after this one was due: delays do not add up.
-        self._frame_due_s = max(self._frame_due_s, now_s - SLACK_S) + self._period_s - SLACK_S
+        self._frame_due_s = (
+            max(self._frame_due_s, now_s - SLACK_S) + self._period_s - SLACK_S
+        )
         for name in self._names:
             patch = feed.patches[name]
             if patch.skin is None:

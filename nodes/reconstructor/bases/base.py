@@ -49,7 +49,9 @@ class Basis(ABC):
     def __init__(self, n_rows: int, n_cols: int) -> None:
         if not (is_whole(n_rows, 1, MAX_SIDE) and is_whole(n_cols, 1, MAX_SIDE)):
             allowed = f"whole numbers 1..{MAX_SIDE}"
-            raise SolverError(f"basis: {n_rows!r} x {n_cols!r} is no grid; allowed: {allowed}")
+            raise SolverError(
+                f"basis: {n_rows!r} x {n_cols!r} is no grid; allowed: {allowed}"
+            )
         self.n_rows = int(n_rows)
         self.n_cols = int(n_cols)
 
@@ -92,7 +94,9 @@ class Basis(ABC):
     def _synthesis(self, coefficients: Floats, out: Floats) -> None:
         """Write Psi theta to out; both flat, contiguous, float32."""
 
-    def _each(self, apply: Callable[[Floats, Floats], None], name: str, given: Floats) -> Floats:
+    def _each(
+        self, apply: Callable[[Floats, Floats], None], name: str, given: Floats
+    ) -> Floats:
         shape = (self.n_rows, self.n_cols)
 
         def flat(one: Floats, result: Floats) -> None:
@@ -137,8 +141,12 @@ def make_basis(name: str, n_rows: int, n_cols: int) -> Basis:
     try:
         instance = cls(n_rows=n_rows, n_cols=n_cols)
     except TypeError as cause:
-        raise SolverError(f'basis "{name}" does not take n_rows, n_cols: {cause}') from cause
-    missing = [attribute for attribute in _INTERFACE if not hasattr(instance, attribute)]
+        raise SolverError(
+            f'basis "{name}" does not take n_rows, n_cols: {cause}'
+        ) from cause
+    missing = [
+        attribute for attribute in _INTERFACE if not hasattr(instance, attribute)
+    ]
     if missing:
         raise SolverError(f'basis "{name}" is no basis: it lacks {", ".join(missing)}')
     basis: Basis = instance

@@ -46,8 +46,14 @@ class SeparableBasis(Basis):
         for rows, cols in level_sizes(self.n_rows, self.n_cols)[:n_levels]:
             # Those of Haar become 1 and 1/2, which float32 does not round.
             scale = np.sqrt(2) if rows > 1 and cols > 1 else 1.0
-            matrices = matrix(rows) * scale, matrix(cols) / scale, np.zeros((rows, cols))
-            along_rows, along_cols, half = (array.astype(np.float32) for array in matrices)
+            matrices = (
+                matrix(rows) * scale,
+                matrix(cols) / scale,
+                np.zeros((rows, cols)),
+            )
+            along_rows, along_cols, half = (
+                array.astype(np.float32) for array in matrices
+            )
             self._levels.append((along_rows, along_cols, half))
 
     def _analysis(self, image: Floats, out: Floats) -> None:

@@ -88,7 +88,9 @@ class RepeatWatch:
         state = self._subsets.get(subset)
 
         # A hung board repeats whole frames; with rotating rows, those of other rows, too.
-        is_repeated = self._repeats_last(y) or (state is not None and _are_equal(state.y, y))
+        is_repeated = self._repeats_last(y) or (
+            state is not None and _are_equal(state.y, y)
+        )
         self._n_frozen = self._n_frozen + 1 if is_repeated else 0
         self._last_y = y
 

@@ -45,7 +45,9 @@ class Verdict(NamedTuple):
     forces: Floats
     reason: str
     rows: tuple[int, ...] = ()
-    is_solved: bool = True  # False: the measurements hold nothing, the forces are the last ones
+    is_solved: bool = (
+        True  # False: the measurements hold nothing, the forces are the last ones
+    )
 
 
 class FaultWatch:
@@ -103,7 +105,9 @@ class FaultWatch:
         if self._received is Reason.FROZEN:
             parts.append(Reason.FROZEN.phrase)
         if self._offset is not None and self._offset.value:
-            parts.append(f"offset of all measurements subtracted: {self._offset.value:.2g}")
+            parts.append(
+                f"offset of all measurements subtracted: {self._offset.value:.2g}"
+            )
         if self._rows_doubted:
             parts.append(f"measurements doubted: {listed(self._rows_doubted)}")
         return "; ".join(parts)
@@ -175,7 +179,9 @@ class FaultWatch:
         """True if each measurement sums several taxels: single ones repeat where they are 0."""
         if phi.fingerprint not in self._mixing:
             chooses = bool(phi_fact(phi, "choice"))
-            self._mixing[phi.fingerprint] = not chooses and mixed_taxels(phi) >= LEAST_MIXED
+            self._mixing[phi.fingerprint] = (
+                not chooses and mixed_taxels(phi) >= LEAST_MIXED
+            )
         return self._mixing[phi.fingerprint]
 
     def _verdict(self, forces: Floats, reason: str) -> Verdict:
@@ -204,7 +210,9 @@ class FaultWatch:
         self._rows_doubted = self._doubted_rows()
         new = np.flatnonzero(is_doubted & ~was_doubted)
         if len(new):
-            self._note("rows", f"measurements doubted, no force explains them: {listed(new)}")
+            self._note(
+                "rows", f"measurements doubted, no force explains them: {listed(new)}"
+            )
 
     def _doubted_rows(self) -> tuple[int, ...]:
         rows: set[int] = set()

@@ -41,7 +41,12 @@ class Bias:
         return self._n_frames > self._tuning.bias_known + 0.5
 
     def follow(
-        self, settled: Settled, subset: RowSubset, n: int, noise2: float, repeated: float
+        self,
+        settled: Settled,
+        subset: RowSubset,
+        n: int,
+        noise2: float,
+        repeated: float,
     ) -> None:
         """Update the bias: by the residual along Phi 1, and by the n taxels that are not pressed.
 
@@ -57,7 +62,9 @@ class Bias:
         step = min(max(excess, -noise_sd / 2), noise_sd / 2)
 
         n_frames = self._n_frames + 1
-        rate = max(tuning.bias_begins / (n_frames + tuning.bias_begins), tuning.bias_rate)
+        rate = max(
+            tuning.bias_begins / (n_frames + tuning.bias_begins), tuning.bias_rate
+        )
         bias = min(max(self.value + rate * step, 0.0), tuning.most_bias * noise_sd)
 
         self._n_frames = n_frames - repeated

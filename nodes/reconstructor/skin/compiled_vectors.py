@@ -68,7 +68,9 @@ class CompiledVectors(Vectors):
             n_hidden=len(self._weights.hidden_0),
         )
         self._has_gates = int(gates is not None)
-        self._doubt_constants = kernels.DoubtConstants(tuning.outlying, CLEAR_RATIO, CERTAIN)
+        self._doubt_constants = kernels.DoubtConstants(
+            tuning.outlying, CLEAR_RATIO, CERTAIN
+        )
         self._step_constants = kernels.StepConstants(
             damping=tuning.damping,
             damped_from=tuning.damped_from,
@@ -161,7 +163,13 @@ class CompiledVectors(Vectors):
 
     def filter_rows(self, variances: RowVariances) -> Filtered:
         target_variance, n_known = self._loops.filter_rows(
-            *(self._measured, self._prediction, self._filters, self._targets, self._recall),
+            *(
+                self._measured,
+                self._prediction,
+                self._filters,
+                self._targets,
+                self._recall,
+            ),
             *(variances, self._filter_constants),
         )
         return Filtered(target_variance, n_known)
@@ -181,7 +189,9 @@ class CompiledVectors(Vectors):
             targets=self._targets,
             iterates=scratch.iterates,
             tiles=self._maps,
-            denoiser=kernels.Denoiser(self._weights, self._limits, scratch.steps, self._has_gates),
+            denoiser=kernels.Denoiser(
+                self._weights, self._limits, scratch.steps, self._has_gates
+            ),
             constants=self._step_constants,
         )
 
@@ -307,7 +317,13 @@ def _neighbours(tiles: Tiles) -> kernels.A:
 
 def _weights(gates: Gates) -> kernels.Weights:
     arrays = (
-        *(gates.filters.T, gates.hidden.T, gates.hidden_0, gates.gates.T, gates.gates_0),
+        *(
+            gates.filters.T,
+            gates.hidden.T,
+            gates.hidden_0,
+            gates.gates.T,
+            gates.gates_0,
+        ),
         *(gates.synthesis.T, gates.error[0]),
     )
     contiguous = [np.ascontiguousarray(array) for array in arrays]

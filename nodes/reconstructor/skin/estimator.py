@@ -149,7 +149,9 @@ class SkinEstimator:
         innovation = self.vectors.predict(motion)
         noise = self._follow_noise(innovation, frame)
         subset.keep(y, self.vectors.innovation)
-        error2 = self.prediction_error.follow(innovation.mean_square, noise, frame.n_read)
+        error2 = self.prediction_error.follow(
+            innovation.mean_square, noise, frame.n_read
+        )
         self._filtered = self.vectors.filter_rows(
             self._row_variances(innovation, noise, error2, frame)
         )
@@ -189,7 +191,9 @@ class SkinEstimator:
         if 2 * innovation.n_known > frame.n_read:
             n_known = innovation.n_known
             expected = noise + innovation.filter_variances / n_known
-            change = tuning.surplus(innovation.filter_squares / n_known, expected, frame.n_read)
+            change = tuning.surplus(
+                innovation.filter_squares / n_known, expected, frame.n_read
+            )
 
         prediction = min(tuning.of_dependent(prediction2, noise), UNKNOWN)
         return RowVariances(noise, prediction, change, frame.floor)
@@ -227,7 +231,9 @@ class SkinEstimator:
             floor=self._frame.floor,
         )
         self.steps = self.vectors.steps(plan)
-        self._n_shifts = (self._n_shifts + self.steps.n_formula + self.steps.n) % len(SHIFTS)
+        self._n_shifts = (self._n_shifts + self.steps.n_formula + self.steps.n) % len(
+            SHIFTS
+        )
 
     def _settle(self, steps: Steps, frame: FrameNumbers) -> Fit:
         """Make the estimate of the steps and the prediction, by the error of each."""
@@ -267,8 +273,12 @@ class SkinEstimator:
         """Noise of the readings of the frame."""
         level = self.noise_level
         if self.noise_model is None:
-            return TaxelNoise(level.bounded(level.variance), missing=0.0, is_stated=False)
+            return TaxelNoise(
+                level.bounded(level.variance), missing=0.0, is_stated=False
+            )
         stated = self.vectors.mean_variance(settled.forces, self.noise_model)
         variance = min(stated, level.variance)
         # Gates keep or drop: the noise that the residual lacks is in the estimate.
-        return TaxelNoise(variance, missing=variance - settled.residual2, is_stated=True)
+        return TaxelNoise(
+            variance, missing=variance - settled.residual2, is_stated=True
+        )

@@ -59,7 +59,9 @@ def _haar() -> tuple[Floats, Floats]:
             groups.append([len(rows), len(rows) + 1, len(rows) + 2])
             for down, across in ((sign, flat), (flat, sign), (sign, sign)):
                 detail = np.zeros((TILE, TILE))
-                detail[row * size :, col * size :][:size, :size] = np.outer(down, across)
+                detail[row * size :, col * size :][:size, :size] = np.outer(
+                    down, across
+                )
                 rows.append(detail)
 
     is_member = np.zeros((len(groups), TILE**2), dtype=np.float32)

@@ -58,7 +58,9 @@ class FrameVectors(Vectors):
     tuning : SkinTuning
     """
 
-    def __init__(self, rows: Rows, tiles: Tiles, gates: Gates | None, tuning: SkinTuning) -> None:
+    def __init__(
+        self, rows: Rows, tiles: Tiles, gates: Gates | None, tuning: SkinTuning
+    ) -> None:
         self._rows = rows
         self._tiles = tiles
         self._gates = gates
@@ -108,7 +110,9 @@ class FrameVectors(Vectors):
 
     def _doubt_values(self, subset: RowSubset, noise: float) -> None:
         """Set the part of each value that is doubted, and the variance that it adds."""
-        squares = np.square(self._values - self._x_rows[self._rows.read], dtype=np.float64)
+        squares = np.square(
+            self._values - self._x_rows[self._rows.read], dtype=np.float64
+        )
         self.doubt = np.zeros(len(squares), dtype=np.float32)
         for number in range(subset.n_blocks):
             peers = np.flatnonzero(subset.block == number)
@@ -154,7 +158,9 @@ class FrameVectors(Vectors):
     def predict(self, motion: Motion) -> Innovation:
         read = self._rows.read
         growth, down, across = (np.float32(weight) for weight in motion[:3])
-        moved = self.x + (growth * self.x + down * self._slopes[0] + across * self._slopes[1])
+        moved = self.x + (
+            growth * self.x + down * self._slopes[0] + across * self._slopes[1]
+        )
         self._predicted = np.minimum(moved.clip(0, None), np.float32(motion.bound))
         self._predicted_rows = self._rows.forward(self._predicted)
         self.innovation = self._certain * (self._values - self._predicted_rows[read])
@@ -172,7 +178,9 @@ class FrameVectors(Vectors):
             squares=_dot(self.innovation, self.innovation),
             correction_squares=_dot(correction, correction),
             products=_dot(self.innovation, correction),
-            repeating=_dot(self._last_innovation, self._last_innovation - self.innovation),
+            repeating=_dot(
+                self._last_innovation, self._last_innovation - self.innovation
+            ),
             n_read=len(read),
             n_known=int(np.count_nonzero(self._is_known)),
             filter_squares=_total(unexpected * unexpected),
@@ -206,7 +214,9 @@ class FrameVectors(Vectors):
     def _set_targets(self, variances: RowVariances) -> None:
         """Combine the prediction and the filter of each row, by their precisions."""
         self._change = (self._change + np.float32(variances.change)).clip(None, UNKNOWN)
-        change = self._tuning.of_dependent(self._change.astype(np.float64), variances.noise)
+        change = self._tuning.of_dependent(
+            self._change.astype(np.float64), variances.noise
+        )
         change_32 = change.clip(None, UNKNOWN).astype(np.float32)
         prior: Any = np.float32(variances.prediction)
         of_filter = self._variance + change_32
@@ -275,7 +285,9 @@ class FrameVectors(Vectors):
         # Errors of steps with other tiles differ: their mean has less.
         weights = self._weights_of(np.array(residual2), plan)
         self._estimate = np.zeros_like(self._z)
-        for weight, x, added in zip(weights.astype(np.float32), estimates, own, strict=True):
+        for weight, x, added in zip(
+            weights.astype(np.float32), estimates, own, strict=True
+        ):
             self._estimate += weight * x
             self._own += weight * added
         numbers = plan.n_formula, k - plan.n_formula, n_tiles
@@ -286,7 +298,9 @@ class FrameVectors(Vectors):
         of an iteration that diverges, the steps before it does count.
         """
         tuning = self._tuning
-        rising = np.arange(1, len(residual2) + 1) / max(1, plan.n + 1 - tuning.fully_averaged)
+        rising = np.arange(1, len(residual2) + 1) / max(
+            1, plan.n + 1 - tuning.fully_averaged
+        )
         weights: Doubles = np.minimum(rising, 1) ** tuning.rise_power
         weights /= (residual2 + plan.floor) ** tuning.residual_power
         weights /= weights.sum()
@@ -412,7 +426,9 @@ class ConfirmedMotion:
         self._products = 0.0
         self._squares = 0.0
 
-    def follow(self, motion: Floats, unexpected: Floats, tuning: SkinTuning) -> np.float32:
+    def follow(
+        self, motion: Floats, unexpected: Floats, tuning: SkinTuning
+    ) -> np.float32:
         """Return the part, after the motion of the rows read and what they exceed the means of
         their filters by; both are 0 where a row is unknown.
         """

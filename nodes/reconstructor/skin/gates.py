@@ -84,7 +84,8 @@ class Gates:
         try:
             with np.load(BytesIO(content), allow_pickle=False) as stored:
                 arrays = {
-                    name: np.ascontiguousarray(stored[name], np.float32) for name in _shapes(0, 0)
+                    name: np.ascontiguousarray(stored[name], np.float32)
+                    for name in _shapes(0, 0)
                 }
         except (OSError, ValueError, KeyError, EOFError) as error:
             raise SolverError(f"{place}: holds no gates: {error}") from error
@@ -106,7 +107,9 @@ class Gates:
         }
         return cls(**arrays, fingerprint="")
 
-    def denoise(self, windows: Floats, part: Floats | None = None) -> tuple[Floats, Floats]:
+    def denoise(
+        self, windows: Floats, part: Floats | None = None
+    ) -> tuple[Floats, Floats]:
         """Return the denoised tiles of windows of unit noise.
 
         Parameters

@@ -106,5 +106,7 @@ class NoiseLevel:
 
     def learn(self, settled: Settled, repeated: float) -> None:
         """Learn from the estimate of a frame."""
-        self._residual2 = repeated * self._residual2 + (1 - repeated) * settled.residual2
+        self._residual2 = (
+            repeated * self._residual2 + (1 - repeated) * settled.residual2
+        )
         self._pressed = settled.pressed

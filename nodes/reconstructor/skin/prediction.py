@@ -37,7 +37,9 @@ class Motion(NamedTuple):
     bound: float
 
 
-def motion_of(sums: MotionSums, noise: float, error2: float, tuning: SkinTuning) -> Motion:
+def motion_of(
+    sums: MotionSums, noise: float, error2: float, tuning: SkinTuning
+) -> Motion:
     """Return the motion of a frame, by ridge least squares scaled by what it explains.
 
     noise is the variance of a measurement, error2 the mean squared error of the last estimate.

@@ -49,7 +49,9 @@ class FrameNumbers(NamedTuple):
     n_read: int  # rows read
     floor: float  # least variance: the resolution of the measurements
     repeated: float  # part of the measurements that repeats the last ones of this subset, 0 to 1
-    silent: float  # part by which they are 0 beside those before: 1 where nothing presses
+    silent: (
+        float  # part by which they are 0 beside those before: 1 where nothing presses
+    )
 
 
 class Level:

@@ -121,7 +121,9 @@ class HadamardRows(Rows):
             order = np.argsort(places)
             blocks = None if layout.blocks is None else shared(layout.blocks[order])
             read = shared(places[order])
-            self._subsets[phi.fingerprint] = ReadRows(read, shared(order), shared(places), blocks)
+            self._subsets[phi.fingerprint] = ReadRows(
+                read, shared(order), shared(places), blocks
+            )
         return self._subsets[phi.fingerprint]
 
     def values(self, y: Floats) -> Floats:

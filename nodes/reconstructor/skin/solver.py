@@ -6,7 +6,13 @@ from types import MappingProxyType
 
 import numpy as np
 
-from sparseskin.nodes.compressor.phi.base import RANDOM, SUMS, Phi, block_layout, phi_fact
+from sparseskin.nodes.compressor.phi.base import (
+    RANDOM,
+    SUMS,
+    Phi,
+    block_layout,
+    phi_fact,
+)
 from sparseskin.nodes.compressor.phi.rotation import FIXED, ROTATING
 from sparseskin.nodes.errors import SolverError
 from sparseskin.nodes.numerics.arrays import Floats, Mask, shared
@@ -99,13 +105,17 @@ class SkinSolver(CountsTiles):
         tuning: SkinTuning | None = None,
     ) -> None:
         super().__init__(phi, basis, mask)
-        self.iterations = whole_number(self.name, "iterations", iterations, 1, MAX_ITERATIONS)
+        self.iterations = whole_number(
+            self.name, "iterations", iterations, 1, MAX_ITERATIONS
+        )
         self.n_steps = self.iterations
         if tuning is None:
             tuning = SkinTuning()
         elif not isinstance(tuning, SkinTuning):
             allowed = "allowed: SkinTuning, from Python only"
-            raise SolverError(f"{self.name}: tuning = {tuning!r} is not allowed; {allowed}")
+            raise SolverError(
+                f"{self.name}: tuning = {tuning!r} is not allowed; {allowed}"
+            )
 
         compiled = use_compiled(fast) and block_layout(phi) is not None
         self._rows = rows_of(phi, compiled)

@@ -18,7 +18,9 @@ WINDOW = 12
 WINDOW_MARGIN = (WINDOW - TILE) // 2
 MARGIN = WINDOW_MARGIN + TILE - 1
 """Cells around the skin, of the windows at any shift."""
-SHIFTS = tuple((5 * i % TILE, (3 * i + i // TILE * 5) % TILE) for i in range(TILE * TILE))
+SHIFTS = tuple(
+    (5 * i % TILE, (3 * i + i // TILE * 5) % TILE) for i in range(TILE * TILE)
+)
 """Shifts of the tiles, rows and columns, in the order of iterations: each once in 64."""
 REFERENCE_WINDOWS = 81
 """Windows of a skin of 64 x 64, for which `STANDS_OUT` was derived."""
@@ -123,7 +125,9 @@ def nearest_taxels(mask: Mask) -> Indices:
     """
     if mask.all():
         return np.arange(mask.size).reshape(mask.shape)
-    from scipy import ndimage  # half the time of the start of a process: only where it is needed
+    from scipy import (
+        ndimage,
+    )  # half the time of the start of a process: only where it is needed
 
     distance, (row, col) = ndimage.distance_transform_edt(~mask, return_indices=True)
     return np.where(distance < 1.5, row * mask.shape[1] + col, mask.size)

@@ -43,7 +43,11 @@ class TaxelNoise(NamedTuple):
 
 
 def estimate_error2(
-    steps: Steps, noise: float, n_read: int, doubtful: float = 1.0, optimism: float = 1.0
+    steps: Steps,
+    noise: float,
+    n_read: int,
+    doubtful: float = 1.0,
+    optimism: float = 1.0,
 ) -> float:
     """Return the mean squared error of the mean of the estimates of steps.
 
@@ -80,7 +84,11 @@ class StatedError:
         """Update the error; return its square."""
         tuning = self._tuning
         error2 = estimate_error2(
-            fit.steps, noise.variance, frame.n_read, tuning.significant / 2, tuning.optimism
+            fit.steps,
+            noise.variance,
+            frame.n_read,
+            tuning.significant / 2,
+            tuning.optimism,
         )
         # The errors of the prediction are others in the rows that were read alone.
         error2 = (1 - fit.known * fit.part) * error2
@@ -170,7 +178,12 @@ class Trust:
         return noise / level.trust
 
     def judge(
-        self, settled: Settled, error2: float, of_skin: float, excess: float, bias_is_known: bool
+        self,
+        settled: Settled,
+        error2: float,
+        of_skin: float,
+        excess: float,
+        bias_is_known: bool,
     ) -> None:
         """Decide by squared error and noise variance of the skin; `excess` is the part by which the
         squared residual of an untouched skin exceeds the noise at most.

@@ -141,7 +141,9 @@ class Settled(NamedTuple):
     forces: Floats
     power: float  # mean square of x
     residual2: float  # mean square of the residual
-    left_out2: float  # that of the part of the steps in x, each row left out of its own value
+    left_out2: (
+        float  # that of the part of the steps in x, each row left out of its own value
+    )
     along_x: float  # product of W x and the residual of x, each row left out of its own value
     read2: float  # squared length of W x in the rows read
     along_ones: float  # product of the residual and Phi 1

@@ -235,7 +235,9 @@ class Solver(ABC):
     def _count_step(self) -> None:
         """Count a step of the current frame; Raises as in `step`."""
         if not self._steps_left:
-            raise SolverError(f"{self.name}: no step is left of the frame's {self.n_steps}")
+            raise SolverError(
+                f"{self.name}: no step is left of the frame's {self.n_steps}"
+            )
         self._steps_left -= 1
 
     def _final_forces(self, image: Floats) -> Floats:
@@ -306,7 +308,11 @@ class RotatingSolver(Solver):
     rotates = True
 
     def __init__(
-        self, solvers: dict[str, Solver], phi: Phi, basis: Basis, mask: Mask | None = None
+        self,
+        solvers: dict[str, Solver],
+        phi: Phi,
+        basis: Basis,
+        mask: Mask | None = None,
     ) -> None:
         super().__init__(phi, basis, mask)
         self._solvers = solvers
@@ -369,7 +375,10 @@ def make_solver(
     Parameters and Raises as in `sparseskin.arrays.make_solver`. A class of the user's own is called
     with phi, basis, mask and the settings as keywords.
     """
-    for kind, argument, method in (("phi", phi, "forward"), ("basis", basis, "synthesis")):
+    for kind, argument, method in (
+        ("phi", phi, "forward"),
+        ("basis", basis, "synthesis"),
+    ):
         if not hasattr(argument, method):
             raise SolverError(
                 f"{kind}: got {type(argument).__name__}; expected what make_{kind} returns"
@@ -394,9 +403,13 @@ def make_solver(
         instance = cls(phi=phi, basis=basis, mask=mask, **settings)
     except TypeError as cause:
         raise SolverError(f'solver "{name}" cannot be made: {cause}') from cause
-    missing = [attribute for attribute in _INTERFACE if not hasattr(instance, attribute)]
+    missing = [
+        attribute for attribute in _INTERFACE if not hasattr(instance, attribute)
+    ]
     if missing:
-        raise SolverError(f'solver "{name}" is no solver: it lacks {", ".join(missing)}')
+        raise SolverError(
+            f'solver "{name}" is no solver: it lacks {", ".join(missing)}'
+        )
     solver: Solver = instance
     return solver
 
@@ -413,9 +426,13 @@ def checked_measurements(y: Floats, m: int, y_max: float) -> Floats:
         return y
     if not np.isfinite(y).all():
         bad = int(np.flatnonzero(~np.isfinite(y))[0])
-        raise SolverError(f"solver: measurement {bad} is {y[bad]}; allowed: finite numbers")
+        raise SolverError(
+            f"solver: measurement {bad} is {y[bad]}; allowed: finite numbers"
+        )
     if max(float(y.max()), -float(y.min())) > y_max:
-        raise SolverError(f"solver: a measurement is beyond +-{y_max:g}: too large for float32")
+        raise SolverError(
+            f"solver: a measurement is beyond +-{y_max:g}: too large for float32"
+        )
     return y
 
 
@@ -431,10 +448,14 @@ def estimated_error(solver: Solver) -> tuple[float | None, bool]:
     trusted = getattr(solver, "trusted", True)
     if error is not None and not is_real(error, 0.0):
         allowed = "a finite number, 0 or more; or None"
-        raise SolverError(f"{solver.name}: error = {error!r} is not allowed; allowed: {allowed}")
+        raise SolverError(
+            f"{solver.name}: error = {error!r} is not allowed; allowed: {allowed}"
+        )
     if not isinstance(trusted, bool | np.bool_):
         allowed = "allowed: True, False"
-        raise SolverError(f"{solver.name}: trusted = {trusted!r} is not allowed; {allowed}")
+        raise SolverError(
+            f"{solver.name}: trusted = {trusted!r} is not allowed; {allowed}"
+        )
     return None if error is None else float(error), bool(trusted)
 
 
@@ -465,11 +486,17 @@ def check_reads(name: str, solver: object, kind: str, phi: type) -> None:
         raise SolverError(f'solver "{name}": {fault}; allowed: {", ".join(of_phi)}')
     if solver_fact(solver, "reads_taxels") and not phi_fact(phi, "samples"):
         allowed = "a phi that reads single taxels, as subsample"
-        raise SolverError(f'solver "{name}": phi "{kind}" mixes taxels; allowed: {allowed}')
+        raise SolverError(
+            f'solver "{name}": phi "{kind}" mixes taxels; allowed: {allowed}'
+        )
 
 
 def make_rotating_solver(
-    name: str, subsets: Sequence[Phi], basis: Basis, mask: Mask | None = None, **settings: Any
+    name: str,
+    subsets: Sequence[Phi],
+    basis: Basis,
+    mask: Mask | None = None,
+    **settings: Any,
 ) -> Solver:
     """Make a solver by name for one Phi of fixed rows, or the row subsets of rotating ones.
 

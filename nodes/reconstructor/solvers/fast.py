@@ -19,7 +19,9 @@ class CompiledFista:
     of the image by y. Coefficients have the scale of the kernel `haar`: theta times weights.
     """
 
-    def __init__(self, layout: BlockLayout, basis: HaarBasis, mask: Mask, lambda_n: float) -> None:
+    def __init__(
+        self, layout: BlockLayout, basis: HaarBasis, mask: Mask, lambda_n: float
+    ) -> None:
         ready(fista, haar_image)
         self._basis = basis
         sizes = layout.sizes
@@ -63,7 +65,9 @@ class CompiledFista:
     def begin(self, y: Floats, warm: Floats | None) -> None:
         """As in `Fista`."""
         if warm is not None:
-            np.multiply(self._basis.analysis(warm).reshape(-1), self._weights, self._theta)
+            np.multiply(
+                self._basis.analysis(warm).reshape(-1), self._weights, self._theta
+            )
         np.copyto(self._before, self._theta)
         self._measured[self._kept] = y * self._scale
 

@@ -74,7 +74,10 @@ class Fista:
         for beta in betas:
             z = self._theta + beta * (self._theta - self._before)
             u = z + self._step * self._adjoint(self._y - self._forward(z))
-            self._before, self._theta = self._theta, u - np.clip(u, -self._limit, self._limit)
+            self._before, self._theta = (
+                self._theta,
+                u - np.clip(u, -self._limit, self._limit),
+            )
 
     def image(self) -> Floats:
         """Return Psi theta, float32 (n_rows, n_cols), newtons."""
@@ -162,7 +165,9 @@ class FistaSolver(Solver):
         fast: str = "auto",
     ) -> None:
         super().__init__(phi, basis, mask)
-        self.iterations = whole_number("fista", "iterations", iterations, 1, MAX_ITERATIONS)
+        self.iterations = whole_number(
+            "fista", "iterations", iterations, 1, MAX_ITERATIONS
+        )
         self.lambda_n = newtons("fista", "lambda_n", lambda_n)
         self.n_steps = self.iterations
         self._momenta = np.array(momenta(self.iterations), dtype=np.float32)

@@ -28,7 +28,9 @@ LIBRARY_PREFIX = "sparseskin "
 
 GRAPH_RECORD = "sparseskin"
 """Name of the metadata record with the scene, seed, launch file, Phi and versions."""
-ROS2_HINT = "; it is for ROS 2: a sensor reads it as file:PATH, ros2 bag play its folder"
+ROS2_HINT = (
+    "; it is for ROS 2: a sensor reads it as file:PATH, ros2 bag play its folder"
+)
 """What an error appends of a bag of ROS 2."""
 COUNTS_RECORD = "counts"
 TOPICS_RECORD = "topics"
@@ -116,7 +118,9 @@ def span_ns(infos: Iterable[TopicInfo]) -> tuple[int, int] | None:
     """First and last stamp of streams, None without a message; a latched topic may be older than
     the recording, and is left out.
     """
-    streams = [info for info in infos if info.n_messages and not SCHEMAS[info.schema].latched]
+    streams = [
+        info for info in infos if info.n_messages and not SCHEMAS[info.schema].latched
+    ]
     if not streams:
         return None
     return min(info.first_ns for info in streams), max(info.last_ns for info in streams)

@@ -43,7 +43,9 @@ def array_names(schema: str) -> tuple[str, str]:
 
 
 def frame_topics(
-    bag: BagReader, topics: Iterable[str] | None, schemas: tuple[str, ...] = FRAME_SCHEMAS
+    bag: BagReader,
+    topics: Iterable[str] | None,
+    schemas: tuple[str, ...] = FRAME_SCHEMAS,
 ) -> list[str]:
     """Names of the topics with frames: all of them, or those requested.
 
@@ -96,24 +98,36 @@ def last_states(bag: BagReader, topics: Iterable[str]) -> dict[str, dict[str, An
     """The last state of each kind of the patches of some topics, by topic: fields as JSON has
     them, a mask as rows of 0 and 1; raises as `decoded`.
     """
-    states = [t for t in with_states(bag, topics) if bag.topics[t].schema not in STREAM_SCHEMAS]
-    return {topic: state_json(state) for topic, state in last_messages(bag, states).items()}
+    states = [
+        t
+        for t in with_states(bag, topics)
+        if bag.topics[t].schema not in STREAM_SCHEMAS
+    ]
+    return {
+        topic: state_json(state) for topic, state in last_messages(bag, states).items()
+    }
 
 
 def state_json(message: Message) -> dict[str, Any]:
     """Fields of a state as JSON has them, a mask as rows of 0 and 1."""
-    names = [name for name in wire_fields(type(message)) if name not in ("run_id", "seq")]
+    names = [
+        name for name in wire_fields(type(message)) if name not in ("run_id", "seq")
+    ]
     values = {name: getattr(message, name) for name in names}
     mask = values.get("mask")
     if mask is not None:
-        values["mask"] = ["".join("01"[cell] for cell in row) for row in mask.astype(int)]
+        values["mask"] = [
+            "".join("01"[cell] for cell in row) for row in mask.astype(int)
+        ]
     for name, value in values.items():
         if hasattr(value, "tolist"):
             values[name] = value.tolist()
     return values
 
 
-def streams(bag: BagReader, topics: Iterable[str], doing: str) -> Iterator[tuple[Message, int]]:
+def streams(
+    bag: BagReader, topics: Iterable[str], doing: str
+) -> Iterator[tuple[Message, int]]:
     """All messages on some topics in recorded order, each with its time of recording, without the
     ends of streams; with a progress bar; raises as `decoded`.
     """
@@ -166,15 +180,21 @@ def patch_topics(bag: BagReader, patch: str | None) -> tuple[str, list[str]]:
     topics = frame_topics(bag, None)
     patches = sorted({patch_of(topic) for topic in topics})
     if patch is None and len(patches) > 1:
-        raise BagError(f"{bag.path}: has patches {', '.join(patches)}: state one of them")
+        raise BagError(
+            f"{bag.path}: has patches {', '.join(patches)}: state one of them"
+        )
     patch = patch or patches[0]
     of_patch = [topic for topic in topics if patch_of(topic) == patch]
     if not of_patch:
-        raise BagError(f"{bag.path}: has no patch {patch!r} (it has {', '.join(patches)})")
+        raise BagError(
+            f"{bag.path}: has no patch {patch!r} (it has {', '.join(patches)})"
+        )
     return patch, of_patch
 
 
 def progress(items: Iterable[Any], total: int, doing: str) -> Iterator[Any]:
     """Yield the items, with a progress bar on stderr if that is a terminal."""
     # disable=None: no bar unless stderr is a terminal.
-    yield from tqdm(items, total=total, desc=doing, unit="msg", disable=None, leave=False)
+    yield from tqdm(
+        items, total=total, desc=doing, unit="msg", disable=None, leave=False
+    )

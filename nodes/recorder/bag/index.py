@@ -112,7 +112,9 @@ class BagIndex:
         version = channel.metadata.get(form.VERSION_KEY, "")
         if version != str(SCHEMAS[kind].version):
             fault = f"recorded with {kind} version {version[:20] or 'unknown'}"
-            raise BagError(f"{place}: {fault}; this program reads {SCHEMAS[kind].version}")
+            raise BagError(
+                f"{place}: {fault}; this program reads {SCHEMAS[kind].version}"
+            )
         return BagChannel(channel.topic, kind, SCHEMAS[kind].version)
 
     def _foreign(self, channel: mcap.Channel, schema_name: str) -> BagError:
@@ -130,7 +132,9 @@ class BagIndex:
             whose = f"{self.name}: {self.of_another_program}"
         messages = f"{encoding[:40]!r} messages of schema {schema_name[:80]!r}"
         expected = f"expected {form.ENCODING!r} and {form.SCHEMA_PREFIX}...{hint}"
-        return BagError(f"{whose}: topic {channel.topic[:80]!r} holds {messages}; {expected}")
+        return BagError(
+            f"{whose}: topic {channel.topic[:80]!r} holds {messages}; {expected}"
+        )
 
     def add_chunk(self, record: Record) -> None:
         """Add the channels and count the messages of a chunk.
@@ -146,7 +150,9 @@ class BagIndex:
                 id, log_ns, stamp_ns, _ = of_file.message_of(content, record.offset)
                 channel = self.channels.get(id)
                 if channel is None or max(log_ns, stamp_ns) > INT64_MAX:
-                    raise Break(record.offset, "a message there has no channel or a wrong time")
+                    raise Break(
+                        record.offset, "a message there has no channel or a wrong time"
+                    )
                 messages.append((channel, stamp_ns, log_ns))
 
         # Only a chunk without a fault is counted.
@@ -160,7 +166,9 @@ class BagIndex:
             topics = frozenset(channel.topic for channel, _, _ in messages)
             first_ns = min(log_times)
             last_ns = max(log_times)
-            self.chunks.append(ChunkSpan(record.offset, record.stop, topics, first_ns, last_ns))
+            self.chunks.append(
+                ChunkSpan(record.offset, record.stop, topics, first_ns, last_ns)
+            )
 
     def list_chunk(self, record: Record) -> None:
         """Add a chunk of which the index at the end states position, topics and times. Raises Break
@@ -170,7 +178,9 @@ class BagIndex:
         start = chunk.chunk_start_offset
         if self.chunks and start < self.chunks[-1].stop:
             raise Break(record.offset, "a chunk is listed twice")
-        topics = frozenset(self.channels[id].topic for id in chunk.message_index_offsets)
+        topics = frozenset(
+            self.channels[id].topic for id in chunk.message_index_offsets
+        )
         self.chunks.append(
             ChunkSpan(
                 offset=start,
@@ -190,8 +200,12 @@ class BagIndex:
             info = self.topics[topic]
 
             # Chunks are known by log times: a stamp lies a lag before its own.
-            late_enough = start_ns is None or chunk.last_log_ns - info.min_lag_ns >= start_ns
-            early_enough = stop_ns is None or chunk.first_log_ns - info.max_lag_ns < stop_ns
+            late_enough = (
+                start_ns is None or chunk.last_log_ns - info.min_lag_ns >= start_ns
+            )
+            early_enough = (
+                stop_ns is None or chunk.first_log_ns - info.max_lag_ns < stop_ns
+            )
             return late_enough and early_enough
 
         chunks = []
@@ -212,9 +226,13 @@ def load_index(file: BinaryIO, name: str, whole: bool = True) -> tuple[BagIndex,
     if not begin:
         raise BagError(f"{name}: is empty")
     if not MAGIC.startswith(begin):
-        raise BagError(f"{name}: not an MCAP file (it begins with {begin!r}){SOURCE_HINT}")
+        raise BagError(
+            f"{name}: not an MCAP file (it begins with {begin!r}){SOURCE_HINT}"
+        )
     if begin != MAGIC:
-        raise BagError(f"{name}: ends after {len(begin)} bytes, before anything was recorded")
+        raise BagError(
+            f"{name}: ends after {len(begin)} bytes, before anything was recorded"
+        )
 
     try:
         index, damage = _read_summary(file, name, whole)
@@ -226,7 +244,9 @@ def load_index(file: BinaryIO, name: str, whole: bool = True) -> tuple[BagIndex,
     return index, ""
 
 
-def _read_summary(file: BinaryIO, name: str, whole: bool) -> tuple[BagIndex | None, str]:
+def _read_summary(
+    file: BinaryIO, name: str, whole: bool
+) -> tuple[BagIndex | None, str]:
     """The index at the end, None if it must be scanned; its damage. Raises Break without one."""
     size = file.seek(0, io.SEEK_END)
     footer_at = max(size - _FOOTER_BYTES - len(MAGIC), 0)
@@ -279,7 +299,9 @@ def _from_summary(file: BinaryIO, name: str, start: int, stop: int) -> BagIndex 
 
     # Counts of other topics than those of the channels are of no use.
     channels = set(index.channels.values())
-    counted = {BagChannel(topic, i.schema, i.version) for topic, i in index.topics.items()}
+    counted = {
+        BagChannel(topic, i.schema, i.version) for topic, i in index.topics.items()
+    }
     channel_topics = {channel.topic for channel in channels}
     if index.topics.keys() != channel_topics or not counted <= channels:
         return None
@@ -289,7 +311,9 @@ def _from_summary(file: BinaryIO, name: str, start: int, stop: int) -> BagIndex 
 def _topic_info(values: dict[str, Any]) -> TopicInfo:
     for key, value in values.items():
         low = -INT64_MAX if key.endswith("lag_ns") else 0
-        is_valid = type(value) is str if key == "schema" else is_whole(value, low, INT64_MAX)
+        is_valid = (
+            type(value) is str if key == "schema" else is_whole(value, low, INT64_MAX)
+        )
         if not is_valid:
             raise TypeError(key)
     info = TopicInfo(**values)
@@ -348,4 +372,6 @@ def _scan_records(file: BinaryIO, index: BagIndex, size: int) -> str:
             if record.opcode not in (Opcode.HEADER, Opcode.METADATA) or index.chunks:
                 raise
             damage = f"the record at byte {record.offset} is damaged"
-    raise Break(size, "it ends there without an index; its recorder was killed or still runs")
+    raise Break(
+        size, "it ends there without an index; its recorder was killed or still runs"
+    )

@@ -24,7 +24,9 @@ def names_of(bag: BagReader) -> dict[str, tuple[str, ...]]:
 
     Raises BagError if a message cannot be decoded.
     """
-    by_patch = {split_topic(topic)[0]: _names_on(bag, topic) for topic in _frame_topics(bag)}
+    by_patch = {
+        split_topic(topic)[0]: _names_on(bag, topic) for topic in _frame_topics(bag)
+    }
     return {patch: names for patch, names in by_patch.items() if names}
 
 
@@ -68,7 +70,9 @@ class SplitBag(BagReader):
         self._bag = bag
         self._names = names
 
-        several = [topic for topic in _frame_topics(bag) if split_topic(topic)[0] in names]
+        several = [
+            topic for topic in _frame_topics(bag) if split_topic(topic)[0] in names
+        ]
         topics: dict[str, TopicInfo] = {}
         unchanged: Unchanged = {}
         for recorded in bag.messages(several):
@@ -96,7 +100,9 @@ class SplitBag(BagReader):
     def _messages(
         self, wanted: frozenset[str], start_ns: int | None, stop_ns: int | None
     ) -> Iterator[BagMessage]:
-        topics = [t for t in self._bag.topics if not wanted.isdisjoint(self._of_patches(t))]
+        topics = [
+            t for t in self._bag.topics if not wanted.isdisjoint(self._of_patches(t))
+        ]
         unchanged: Unchanged = {}
         # From the first on: a patch that is unchanged has the forces of an earlier message.
         for recorded in self._bag.messages(topics, None, stop_ns):
@@ -105,7 +111,9 @@ class SplitBag(BagReader):
                 if single.topic in wanted and not is_early:
                     yield single
 
-    def _singles(self, recorded: BagMessage, unchanged: Unchanged) -> Iterator[BagMessage]:
+    def _singles(
+        self, recorded: BagMessage, unchanged: Unchanged
+    ) -> Iterator[BagMessage]:
         """The messages of the patches that one of the bag stands for."""
         patch = split_topic(recorded.topic)[0]
         if patch not in self._names:
@@ -115,7 +123,9 @@ class SplitBag(BagReader):
         if isinstance(message, End):
             return
         if isinstance(message, Frames):
-            parts: Iterable[Message] = message.split(unchanged.setdefault(recorded.topic, {}))
+            parts: Iterable[Message] = message.split(
+                unchanged.setdefault(recorded.topic, {})
+            )
         else:
             parts = (replace(message, patch=name) for name in self._names[patch])
         for part in parts:

@@ -58,7 +58,9 @@ class BagReader(AbstractContextManager["BagReader"]):
         with ExitStack() as opened:
             self._file = opened.enter_context(_open(self.path))
             try:
-                self._index, self.recovered = load_index(self._file, str(self.path), whole)
+                self._index, self.recovered = load_index(
+                    self._file, str(self.path), whole
+                )
             except OSError as error:
                 raise BagError(f"{self.path}: {error.strerror}") from error
             opened.pop_all()
@@ -117,7 +119,9 @@ class BagReader(AbstractContextManager["BagReader"]):
         if self._file.closed:
             raise BagError(f"{self.path}: the recording is closed")
         try:
-            return open_chunk(record_at(self._file, chunk.offset, chunk.stop, Opcode.CHUNK))
+            return open_chunk(
+                record_at(self._file, chunk.offset, chunk.stop, Opcode.CHUNK)
+            )
         except Break as broken:
             fault = "is damaged, or was changed while it was read"
             where = f"at byte {chunk.offset}: {broken.why}"

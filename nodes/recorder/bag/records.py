@@ -60,7 +60,9 @@ class Record(NamedTuple):
         stream = ReadDataStream(io.BytesIO(self.data))
         try:
             content = read(stream)
-        except Exception as error:  # EndOfFile, struct.error, UnicodeDecodeError, ValueError, ...
+        except (
+            Exception
+        ) as error:  # EndOfFile, struct.error, UnicodeDecodeError, ValueError, ...
             raise Break(self.offset, "a record there is malformed") from error
         if stream.count != len(self.data):
             raise Break(self.offset, "a record there is malformed")
@@ -81,9 +83,14 @@ def records(file: IO[bytes], start: int, stop: int) -> Iterator[Record]:
         if opcode not in _KNOWN:
             raise Break(offset, "no record begins there")
         if length > stop - offset - HEAD_BYTES:
-            raise Break(offset, "the file ends in the middle of a record, or its length is wrong")
+            raise Break(
+                offset,
+                "the file ends in the middle of a record, or its length is wrong",
+            )
         if length > _MAX_RECORD_BYTES:
-            raise Break(offset, f"a record of {length} bytes, at most {_MAX_RECORD_BYTES}")
+            raise Break(
+                offset, f"a record of {length} bytes, at most {_MAX_RECORD_BYTES}"
+            )
 
         record = Record(opcode, offset, file.read(length))
         yield record
@@ -106,7 +113,9 @@ def open_chunk(record: Record) -> bytes:
     # A small chunk can claim to become any size.
     limit = MAX_CHUNK_BYTES
     if chunk.uncompressed_size > limit:
-        raise Break(offset, f"a chunk of {chunk.uncompressed_size} bytes, at most {limit}")
+        raise Break(
+            offset, f"a chunk of {chunk.uncompressed_size} bytes, at most {limit}"
+        )
     try:
         plain = _decompressed(chunk)
     except Exception as error:  # lz4 and zstandard have families of their own
@@ -164,7 +173,9 @@ def _decompressed(chunk: Chunk) -> bytes:
     # Both stop at the size that the chunk states, whatever the compressed bytes would become.
     limit = chunk.uncompressed_size
     if chunk.compression == "lz4":
-        return bytes(lz4.frame.LZ4FrameDecompressor().decompress(chunk.data, max_length=limit))
+        return bytes(
+            lz4.frame.LZ4FrameDecompressor().decompress(chunk.data, max_length=limit)
+        )
     if chunk.compression == "zstd":
         decompressor = zstandard.ZstdDecompressor(max_window_size=MAX_CHUNK_BYTES)
         return decompressor.stream_reader(chunk.data).read(limit)

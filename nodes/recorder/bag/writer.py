@@ -18,7 +18,16 @@ from mcap.writer import CompressionType, Writer
 
 from sparseskin.messages import Message, MessageError, encode
 from sparseskin.messages.base import omitted_fields, wire_fields
-from sparseskin.messages.fields import Each, FieldKind, Flag, Integer, Names, Real, Text, Words
+from sparseskin.messages.fields import (
+    Each,
+    FieldKind,
+    Flag,
+    Integer,
+    Names,
+    Real,
+    Text,
+    Words,
+)
 from sparseskin.messages.ranges import INT64_MAX
 from sparseskin.messages.topics import split_topic
 from sparseskin.messages.wire import MAX_MESSAGE_BYTES, SCHEMAS
@@ -178,11 +187,15 @@ class BagWriter(AbstractContextManager["BagWriter"]):
         channel = self._channel(topic, schema, version)
         n_bytes = len(payload)
         if n_bytes > MAX_MESSAGE_BYTES:
-            fault = f"a message of {n_bytes} bytes on {topic}, at most {MAX_MESSAGE_BYTES}"
+            fault = (
+                f"a message of {n_bytes} bytes on {topic}, at most {MAX_MESSAGE_BYTES}"
+            )
             raise BagError(f"{self.path}: {fault}")
         for name, time_ns in (("log time", log_time_ns), ("stamp", stamp_ns)):
             if not 0 <= time_ns <= INT64_MAX:
-                raise BagError(f"{self.path}: {topic}: {name} {time_ns} is outside 0..2**63 - 1")
+                raise BagError(
+                    f"{self.path}: {topic}: {name} {time_ns} is outside 0..2**63 - 1"
+                )
 
         info = self._topics.setdefault(topic, TopicInfo(schema, version))
 
@@ -261,7 +274,9 @@ class BagWriter(AbstractContextManager["BagWriter"]):
             raise BagError(f"{self.path}: {error}") from error
         if schema not in SCHEMAS:
             hint = did_you_mean(schema, SCHEMAS)
-            raise BagError(f"{self.path}: {topic}: schema {schema!r} is not known{hint}")
+            raise BagError(
+                f"{self.path}: {topic}: schema {schema!r} is not known{hint}"
+            )
 
         form = (schema, version)
         if form not in self._schemas:
@@ -269,7 +284,9 @@ class BagWriter(AbstractContextManager["BagWriter"]):
             name = SCHEMA_PREFIX + schema
             self._schemas[form] = self._mcap.register_schema(name, "jsonschema", text)
         metadata = {VERSION_KEY: str(version)}
-        channel = self._mcap.register_channel(topic, ENCODING, self._schemas[form], metadata)
+        channel = self._mcap.register_channel(
+            topic, ENCODING, self._schemas[form], metadata
+        )
         self._channels[topic, schema, version] = channel
         return channel
 
@@ -291,7 +308,9 @@ class BagWriter(AbstractContextManager["BagWriter"]):
 
     def _finish(self, counts: Mapping[str, Any] | None) -> None:
         self._mcap.flush()
-        topics = {topic: dataclasses.asdict(info) for topic, info in self._topics.items()}
+        topics = {
+            topic: dataclasses.asdict(info) for topic, info in self._topics.items()
+        }
         self._mcap.add_metadata(TOPICS_RECORD, {JSON_KEY: json.dumps(topics)})
         if counts is not None:
             text = json.dumps(dict(counts), default=str)
@@ -319,7 +338,10 @@ def json_schema(cls: type[Message], version: int) -> dict[str, Any]:
     """Describe the msgpack map of a version of a message class as a JSON Schema: its fields and
     their types.
     """
-    properties: dict[str, Any] = {"schema": {"const": cls.schema}, "version": {"const": version}}
+    properties: dict[str, Any] = {
+        "schema": {"const": cls.schema},
+        "version": {"const": version},
+    }
     for name, kind in wire_fields(cls).items():
         json_type = _TYPES.get(type(kind), "object")
         properties[name] = {"type": json_type}

@@ -27,7 +27,9 @@ from sparseskin.nodes.recorder.bag.reader import BagReader
 _NO_CELLS: Floats = np.empty(0, np.float32)
 
 
-def export_csv(bag: BagReader, out: Path, topics: Iterable[str] | None = None) -> list[Path]:
+def export_csv(
+    bag: BagReader, out: Path, topics: Iterable[str] | None = None
+) -> list[Path]:
     """Write a folder `out` with PATCH_SCHEMA.csv for each topic; their paths.
 
     Each file has, below lines that begin with `#`, a header line with the names of its columns, and
@@ -46,7 +48,9 @@ def export_csv(bag: BagReader, out: Path, topics: Iterable[str] | None = None) -
     n_measurements: dict[str, int] = {}
 
     # A header needs the most measurements of a message, so these are counted first.
-    measured = [topic for topic in topics if bag.topics[topic].schema == Measurements.schema]
+    measured = [
+        topic for topic in topics if bag.topics[topic].schema == Measurements.schema
+    ]
     for message, _ in streams(bag, measured, "measure"):
         longest = n_measurements.get(message.topic, 0)
         n_measurements[message.topic] = max(longest, len(_cells(message)))
@@ -88,7 +92,11 @@ class _Tables:
         self._n_measurements = n_measurements
 
     def write(
-        self, topic: str, suffix: str, figures: Mapping[str, Any], cells: Floats = _NO_CELLS
+        self,
+        topic: str,
+        suffix: str,
+        figures: Mapping[str, Any],
+        cells: Floats = _NO_CELLS,
     ) -> None:
         """Write a line of figures by the names of their columns, and of the cells of a frame."""
         patch, schema = split_topic(topic)
@@ -122,7 +130,9 @@ def _text(value: object) -> str:
 
 def _contacts(message: Contacts) -> list[dict[str, Any]]:
     columns = message.columns()
-    cells = zip(*(column.astype(str).tolist() for column in columns.values()), strict=True)
+    cells = zip(
+        *(column.astype(str).tolist() for column in columns.values()), strict=True
+    )
     return [dict(zip(columns, row, strict=True)) for row in cells]
 
 
@@ -154,5 +164,9 @@ def _cells(message: Message) -> Floats:
 
 def _cell_names(cells: Floats, longest: int) -> list[str]:
     if cells.ndim == 2:
-        return [f"r{row}c{col}" for row in range(cells.shape[0]) for col in range(cells.shape[1])]
+        return [
+            f"r{row}c{col}"
+            for row in range(cells.shape[0])
+            for col in range(cells.shape[1])
+        ]
     return [f"y{k}" for k in range(longest)]

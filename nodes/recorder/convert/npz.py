@@ -44,7 +44,9 @@ _CODES: dict[type[FieldKind], tuple[str, Any]] = {
 """Type codes of numbers in memory, and their dtypes in the file."""
 
 
-def export_npz(bag: BagReader, out: Path, topics: Iterable[str] | None = None) -> list[Path]:
+def export_npz(
+    bag: BagReader, out: Path, topics: Iterable[str] | None = None
+) -> list[Path]:
     """Write one .npz a patch, `out` or OUT_PATCH.npz each for several patches; their paths.
 
     Its arrays: `forces` (the taxels' readings), `truth`, `reconstruction`, float32 of shape
@@ -84,7 +86,9 @@ def _export_patch(bag: BagReader, patch: str, topics: list[str], path: Path) -> 
     with (
         whole_file(path) as draft,
         os_errors(path),
-        tempfile.TemporaryDirectory(dir=path.parent, prefix=f".{path.name}.") as scratch,
+        tempfile.TemporaryDirectory(
+            dir=path.parent, prefix=f".{path.name}."
+        ) as scratch,
         zipfile.ZipFile(draft, "x", allowZip64=True) as archive,
     ):
         arrays = _described(bag, patch)
@@ -95,7 +99,9 @@ def _export_patch(bag: BagReader, patch: str, topics: list[str], path: Path) -> 
                 np.lib.format.write_array(member, np.asanyarray(values))
 
 
-def _recorded(bag: BagReader, topics: list[str], folder: Path) -> Iterator[dict[str, Any]]:
+def _recorded(
+    bag: BagReader, topics: list[str], folder: Path
+) -> Iterator[dict[str, Any]]:
     """Arrays of the messages on each topic, by name."""
     columns: dict[str, _Columns | _Contacts] = {}
     for message, log_time_ns in streams(bag, topics, "export"):
@@ -160,7 +166,9 @@ class _Columns:
             return
         previous = self._shapes[-1]
         if frame.shape != previous:
-            sizes = "a frame of {} x {} after some of {} x {}".format(*frame.shape, *previous)
+            sizes = "a frame of {} x {} after some of {} x {}".format(
+                *frame.shape, *previous
+            )
             raise BagError(f"{self._place}, stamp {message.stamp_ns}: {sizes}")
 
     def arrays(self) -> dict[str, npt.NDArray[Any]]:
@@ -169,7 +177,9 @@ class _Columns:
 
         # As the sensor reads them from a file.
         short = {"forces": frames_name, "y": frames_name, "stamp_ns": stamps_name}
-        arrays = {name: self._frames(self._files[name]) for name in sorted(self._with_frames)}
+        arrays = {
+            name: self._frames(self._files[name]) for name in sorted(self._with_frames)
+        }
         for name, kind in self._kinds.items():
             _, dtype = _CODES.get(type(kind), ("", None))
             values = np.array(self._columns[name], dtype)
@@ -177,7 +187,10 @@ class _Columns:
             # A number that no message has is left out.
             if not (isinstance(kind, Real) and np.isnan(values).all()):
                 arrays[name] = values
-        return {short.get(name, f"{self._schema}_{name}"): value for name, value in arrays.items()}
+        return {
+            short.get(name, f"{self._schema}_{name}"): value
+            for name, value in arrays.items()
+        }
 
     def _frames(self, path: Path) -> npt.NDArray[np.float32]:
         """The frames in a file, with NaN behind those of fewer measurements."""
@@ -218,8 +231,12 @@ class _Contacts:
     def arrays(self) -> dict[str, npt.NDArray[Any]]:
         """Arrays by their names in the file."""
         arrays = {name: np.concatenate(parts) for name, parts in self._columns.items()}
-        arrays["event_stamp_ns"] = np.array([stamp_ns for stamp_ns, _, _ in self._events], np.int64)
-        arrays["event_id"] = np.array([number for _, number, _ in self._events], np.int32)
+        arrays["event_stamp_ns"] = np.array(
+            [stamp_ns for stamp_ns, _, _ in self._events], np.int64
+        )
+        arrays["event_id"] = np.array(
+            [number for _, number, _ in self._events], np.int32
+        )
         arrays["event"] = np.array([event for _, _, event in self._events], "U8")
         return {f"{Contacts.schema}_{name}": values for name, values in arrays.items()}
 

@@ -13,14 +13,18 @@ from sparseskin.nodes.sensor.calibration.description import SkinFileError, of_me
 from sparseskin.nodes.sensor.skin_file import save_skin
 
 
-def export_skin(bag: BagReader, out: Path, topics: Iterable[str] | None = None) -> list[Path]:
+def export_skin(
+    bag: BagReader, out: Path, topics: Iterable[str] | None = None
+) -> list[Path]:
     """Write the last calibration of each patch as skin.toml, `out` or OUT_PATCH.toml each for
     several patches; their paths.
 
     Raises BagError if there is none, or it is malformed, OutputError if a file exists or cannot be
     written.
     """
-    calibrated = {topic for topic, info in bag.topics.items() if info.schema == Calibration.schema}
+    calibrated = {
+        topic for topic, info in bag.topics.items() if info.schema == Calibration.schema
+    }
     if topics is not None:
         calibrated &= set(topics)
     if not calibrated:

@@ -56,7 +56,9 @@ def import_file(
     patches = [main]
     for channel in keep:
         of_channel = layout.stating({"channel": channel, "negative": KEEP})
-        patches.append(_Imported(source, f"{patch}_{channel}", of_channel, _Zeroing(0), log))
+        patches.append(
+            _Imported(source, f"{patch}_{channel}", of_channel, _Zeroing(0), log)
+        )
     metadata = metadata_of(launch="", graph="") | {"imported_from": source.name}
     with _whole_bag(out, metadata, {"lost": {}}) as bag:
         # All patches by time, as a recorder would have received them.
@@ -145,7 +147,11 @@ class _Forces:
     """Forces of the readings of a file, and why they are not to be trusted, as of a sensor."""
 
     def __init__(
-        self, source: RecordedSource, tare: int | None, invert: bool, log: Callable[[str], None]
+        self,
+        source: RecordedSource,
+        tare: int | None,
+        invert: bool,
+        log: Callable[[str], None],
     ) -> None:
         described = of_skin(source.name, source.skin)
         if invert:
@@ -156,14 +162,18 @@ class _Forces:
             self._chain = Chain(described, drift_rate, tare or 0, log)
         has_level = tare is None and not invert
         clipped = (self._chain or source).clipped
-        self._doubt = Doubt(source.skin, clipped, has_level=has_level, is_inverted=invert)
+        self._doubt = Doubt(
+            source.skin, clipped, has_level=has_level, is_inverted=invert
+        )
 
     @property
     def line(self) -> str:
         """What makes all frames untrusted; "" if nothing does."""
         return self._doubt.line
 
-    def frame(self, readings: Floats, stamp_ns: int) -> tuple[Floats, tuple[str, ...]] | None:
+    def frame(
+        self, readings: Floats, stamp_ns: int
+    ) -> tuple[Floats, tuple[str, ...]] | None:
         """Forces and reason of a frame, as of `Taxels`; None in a tare."""
         forces: Floats | None = readings
         if self._chain is not None:

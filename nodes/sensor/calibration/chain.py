@@ -103,7 +103,9 @@ class Chain:
         # On a skin with noise, a frame that repeats the last one is of a board that hangs: what is
         # followed meanwhile would be no drift, and its frames would differ.
         previous = self._previous
-        hangs = previous is not None and np.array_equal(forces, previous, equal_nan=True)
+        hangs = previous is not None and np.array_equal(
+            forces, previous, equal_nan=True
+        )
         self._previous = forces.copy() if description.noise else None
 
         forces -= self.drift.value
@@ -199,7 +201,10 @@ class Chain:
     def state(self) -> dict[str, Any]:
         """State for the operator: frames that a tare waits for, largest drift, last tare."""
         drift = float(np.abs(self.drift.value).max())
-        state: dict[str, Any] = {"tare_left": self._tare_left, "drift": float(f"{drift:.3g}")}
+        state: dict[str, Any] = {
+            "tare_left": self._tare_left,
+            "drift": float(f"{drift:.3g}"),
+        }
         if self._tared:
             state["tared"] = self._tared
         return state

@@ -63,7 +63,9 @@ class Placement(Protocol):
     def check_size(self, n_readings: int) -> None:
         """Raise SourceError unless a frame of so many readings has one for each taxel."""
 
-    def on_grid(self, values: npt.NDArray[Any], unused: float = 0.0) -> npt.NDArray[Any]:
+    def on_grid(
+        self, values: npt.NDArray[Any], unused: float = 0.0
+    ) -> npt.NDArray[Any]:
         """Readings in the order of the file on the grid, of the same dtype; `unused` in cells
         without a taxel. Raises SourceError as `check_size`.
         """
@@ -92,9 +94,13 @@ class Response:
         k = len(self.force)
         n = len(self.reading)
         if not (self.force.ndim == 1 and 1 <= k <= MAX_KNOTS):
-            raise SkinFileError(f"response.force: {k} knots; allowed are 1..{MAX_KNOTS}")
+            raise SkinFileError(
+                f"response.force: {k} knots; allowed are 1..{MAX_KNOTS}"
+            )
         if self.reading.ndim not in (1, 3) or n != k:
-            raise SkinFileError(f"response.reading: {n} knots, but response.force has {k}")
+            raise SkinFileError(
+                f"response.reading: {n} knots, but response.force has {k}"
+            )
         for name, values in vars(self).items():
             steps = np.diff(values, axis=0, prepend=0)
             if not ((steps > 0).all() and values.max() <= MAX_NUMBER):
@@ -104,7 +110,9 @@ class Response:
         with np.errstate(all="ignore"):
             is_allowed = _within_slopes(self.slopes)
         if not is_allowed:
-            raise SkinFileError(f"response: a slope is outside {SLOPES} (force a reading)")
+            raise SkinFileError(
+                f"response: a slope is outside {SLOPES} (force a reading)"
+            )
 
     @property
     def slopes(self) -> Doubles:
@@ -113,7 +121,9 @@ class Response:
         # The curve begins at (0, 0).
         rise = np.diff(self.force, prepend=0.0)
         shape = (-1, *(1,) * (self.reading.ndim - 1))
-        slopes: Doubles = rise.reshape(shape) / np.diff(self.reading, axis=0, prepend=0.0)
+        slopes: Doubles = rise.reshape(shape) / np.diff(
+            self.reading, axis=0, prepend=0.0
+        )
         return slopes
 
     def forces(self, readings: npt.NDArray[Any]) -> Doubles:
@@ -142,8 +152,12 @@ class SkinDescription:
     f_max: float  # upper end of the range of a taxel, in `unit`, above 0
     unit: str = "N"  # of the calibrated readings, at most 32 printable characters
     pitch_mm: float | None = None  # between the centres of neighbouring taxels
-    mask: Mask | None = None  # (rows, cols), True where a taxel exists and works; None: all do
-    baseline: Doubles | None = None  # (rows, cols), raw readings of the untouched skin; None: 0
+    mask: Mask | None = (
+        None  # (rows, cols), True where a taxel exists and works; None: all do
+    )
+    baseline: Doubles | None = (
+        None  # (rows, cols), raw readings of the untouched skin; None: 0
+    )
     #: (rows, cols), factors of raw readings above the baseline, not 0, negative where a reading
     #: falls with force; None: 1.
     gains: Doubles | None = None
@@ -151,7 +165,9 @@ class SkinDescription:
     #: Standard deviation of an untouched taxel before clipping, in `unit`; None: not measured.
     noise: float | None = None
     noise_mid: float | None = None  # the same at half the range; None: as `noise`
-    f_min: float = 0.0  # lower end of the range, -f_max..0: below 0, noise is not clipped
+    f_min: float = (
+        0.0  # lower end of the range, -f_max..0: below 0, noise is not clipped
+    )
     #: (rows, cols, 6): place in metres and unit normal of the taxel of each cell of a virtual grid,
     #: as in `Skin`; of cells without a taxel, anything. None: a flat grid.
     points: Floats | None = None
@@ -193,26 +209,39 @@ class SkinDescription:
         if self.noise is None and self.noise_mid is not None:
             raise SkinFileError("noise_mid: is stated without noise")
 
-    def _check_array(self, key: str, dtype: type[np.generic], shape: tuple[int, ...]) -> None:
+    def _check_array(
+        self, key: str, dtype: type[np.generic], shape: tuple[int, ...]
+    ) -> None:
         array = getattr(self, key)
         if array is not None and (array.shape != shape or array.dtype != dtype):
             expected = f"expected {np.dtype(dtype)} of shape {shape}"
-            raise SkinFileError(f"{key}: {array.dtype} of shape {array.shape}; {expected}")
+            raise SkinFileError(
+                f"{key}: {array.dtype} of shape {array.shape}; {expected}"
+            )
 
     def _check_values(self) -> None:
         if self.mask is not None and not self.mask.any():
             raise SkinFileError("mask: leaves no taxel")
-        if self.baseline is not None and not (np.abs(self.baseline) <= MAX_NUMBER).all():
+        if (
+            self.baseline is not None
+            and not (np.abs(self.baseline) <= MAX_NUMBER).all()
+        ):
             raise SkinFileError(f"baseline: expected numbers of at most {MAX_NUMBER:g}")
         if self.gains is not None and not _within_slopes(np.abs(self.gains)):
-            raise SkinFileError(f"gains: expected numbers of {SLOPES}, or below 0 the same")
+            raise SkinFileError(
+                f"gains: expected numbers of {SLOPES}, or below 0 the same"
+            )
 
         if self.response is None:
             return
         reading = self.response.reading
         if reading.shape[1:] not in ((), self.shape) or reading.size > MAX_CURVES:
-            expected = f"K numbers, or K grids of {self.shape}, {MAX_CURVES} numbers at most"
-            raise SkinFileError(f"response.reading: shape {reading.shape}; expected {expected}")
+            expected = (
+                f"K numbers, or K grids of {self.shape}, {MAX_CURVES} numbers at most"
+            )
+            raise SkinFileError(
+                f"response.reading: shape {reading.shape}; expected {expected}"
+            )
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -283,7 +312,9 @@ class SkinDescription:
         Raises SourceError, after `where`, if the source has another shape.
         """
         if self.shape != skin.shape:
-            sizes = "{} x {} taxels, but the source has {} x {}".format(*self.shape, *skin.shape)
+            sizes = "{} x {} taxels, but the source has {} x {}".format(
+                *self.shape, *skin.shape
+            )
             raise SourceError(f"{where}: describes {sizes}")
 
         points = self.points

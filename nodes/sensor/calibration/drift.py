@@ -40,7 +40,9 @@ class DriftTuning:
     #: reading creeps back after a press.
     hold_s: float = 5.0
     period_s: float = 0.05  # shortest time between two updates
-    gap_s: float = 0.5  # longest time that one update stands for: a pause is not made up for
+    gap_s: float = (
+        0.5  # longest time that one update stands for: a pause is not made up for
+    )
     #: Time of which the drift of a taxel is undone where a press is noticed, at least, and twice
     #: that at most: it began before.
     undo_s: float = 1.5
@@ -69,7 +71,11 @@ class Drift:
     """
 
     def __init__(
-        self, shape: tuple[int, int], f_max: float, noise: float, rate: float = DRIFT_RATE
+        self,
+        shape: tuple[int, int],
+        f_max: float,
+        noise: float,
+        rate: float = DRIFT_RATE,
     ) -> None:
         self.rate = rate
         self._f_max = f_max

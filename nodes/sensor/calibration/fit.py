@@ -186,9 +186,13 @@ def fit(
     elif invert:
         gains = np.full(shape, -1.0)
     if presses and invert:
-        raise CalibrationError("invert: the presses show whether readings fall with force")
+        raise CalibrationError(
+            "invert: the presses show whether readings fall with force"
+        )
     if not works.any():
-        raise CalibrationError("no taxel works: none changes, or all are far noisier than half")
+        raise CalibrationError(
+            "no taxel works: none changes, or all are far noisier than half"
+        )
 
     skin = SkinDescription(
         name,
@@ -215,7 +219,9 @@ def fit(
         stuck=int(at_rest.stuck.sum()),
         noisy=int(at_rest.noisy.sum()),
         dead=int(dead.sum()),
-        presses=[_result(*each, works) for each in zip(presses, rises, forces, strict=True)],
+        presses=[
+            _result(*each, works) for each in zip(presses, rises, forces, strict=True)
+        ],
         remarks=remarks,
     )
 
@@ -239,22 +245,31 @@ class _EvenLoad(NamedTuple):
     rise: Doubles
 
 
-def _checked_shape(untouched: npt.NDArray[Any], presses: Sequence[Press]) -> tuple[int, int]:
+def _checked_shape(
+    untouched: npt.NDArray[Any], presses: Sequence[Press]
+) -> tuple[int, int]:
     """Rows and columns of all frames; CalibrationError if they differ, or there are too few."""
     if untouched.ndim != 3 or len(untouched) < 2:
-        raise CalibrationError(f"untouched: {len(untouched)} frames; at least 2 are needed")
+        raise CalibrationError(
+            f"untouched: {len(untouched)} frames; at least 2 are needed"
+        )
     shape = (untouched.shape[1], untouched.shape[2])
     for press in presses:
         n_frames = len(press.frames)
         press_shape = press.frames.shape[1:]
         if press_shape != shape or not n_frames:
             needed = f"the untouched ones have {shape}, and at least one is needed"
-            raise CalibrationError(f"{press.label}: frames of shape {press_shape}; {needed}")
+            raise CalibrationError(
+                f"{press.label}: frames of shape {press_shape}; {needed}"
+            )
     return shape
 
 
 def _at_rest(
-    untouched: npt.NDArray[Any], presses: Sequence[Press], exists: Mask, remarks: list[str]
+    untouched: npt.NDArray[Any],
+    presses: Sequence[Press],
+    exists: Mask,
+    remarks: list[str],
 ) -> _Rest:
     """Baseline and noise of the taxels, and those whose readings show that they are faulty."""
     baseline, noise, unsteady = steady(untouched)
@@ -267,7 +282,9 @@ def _at_rest(
     n_noisy = int(noisy.sum())
     unsteady_share = float(unsteady[exists].mean())
     if n_noisy > TOUCHED_SHARE * exists.sum():
-        remark = f"{n_noisy} taxels are noisy: was the skin touched where it should not be?"
+        remark = (
+            f"{n_noisy} taxels are noisy: was the skin touched where it should not be?"
+        )
         remarks.append(remark)
     elif unsteady_share > OUTLIERS:
         part = f"{100 * unsteady_share:.0f} % of the untouched readings"
@@ -290,7 +307,9 @@ def _range_of(forces: Sequence[Doubles], remarks: list[str]) -> float:
         raise CalibrationError("the range is not known: state f_max, or add presses")
     largest = max(float(frame.max()) for frame in forces)
     f_max = float(f"{HEADROOM * largest:.2g}")
-    remarks.append(f"f_max = {f_max:g} N is {HEADROOM:g} times the largest force of a press")
+    remarks.append(
+        f"f_max = {f_max:g} N is {HEADROOM:g} times the largest force of a press"
+    )
     return f_max
 
 
@@ -330,13 +349,17 @@ def _check_still(press: Press, rise: Doubles, at_rest: _Rest) -> None:
     works = at_rest.works
 
     # Sums over all taxels: a load that moves keeps its sum, frame by frame.
-    above = np.asarray(press.frames, dtype=np.float64)[:, works] - at_rest.baseline[works]
+    above = (
+        np.asarray(press.frames, dtype=np.float64)[:, works] - at_rest.baseline[works]
+    )
     frame_sum = float(np.median(above.sum(axis=1)))
     steady_sum = float(rise[works].sum())
     chance = TOUCHED * math.sqrt(float(np.square(at_rest.noise[works]).sum()))
     if abs(frame_sum - steady_sum) > MOVED * abs(frame_sum) + chance:
         sums = f"its frames add up to {frame_sum:.4g}, the readings that stay to {steady_sum:.4g}"
-        raise CalibrationError(f"{press.label}: the load moves: {sums}; let it stand still")
+        raise CalibrationError(
+            f"{press.label}: the load moves: {sums}; let it stand still"
+        )
 
 
 def _stuck(untouched: npt.NDArray[Any], presses: Sequence[Press]) -> Mask:
@@ -421,7 +444,9 @@ def _check_rising(median_rise: Doubles, forces: Doubles) -> None:
         return
     pairs = zip(median_rise, forces, strict=True)
     measured = ", ".join(f"{reading:.4g} at {force:.3g} N" for reading, force in pairs)
-    raise CalibrationError(f"readings do not rise with the force of a taxel: {measured}")
+    raise CalibrationError(
+        f"readings do not rise with the force of a taxel: {measured}"
+    )
 
 
 def _least_squares_gains(
@@ -431,13 +456,17 @@ def _least_squares_gains(
     rise = np.nan_to_num(rise)
     energy = np.square(rise).sum(axis=0)
     gains = np.full(works.shape, np.nan)
-    np.divide((rise * target).sum(axis=0), energy, out=gains, where=works & (energy > 0))
+    np.divide(
+        (rise * target).sum(axis=0), energy, out=gains, where=works & (energy > 0)
+    )
 
     has_gain = np.isfinite(gains)
     gains[~has_gain] = np.median(gains[has_gain])
     n_without = np.count_nonzero(works & ~has_gain)
     if n_without:
-        remarks.append(f"{n_without} taxels lay under no even load: they have the median gain")
+        remarks.append(
+            f"{n_without} taxels lay under no even load: they have the median gain"
+        )
     return gains
 
 

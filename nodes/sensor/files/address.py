@@ -40,13 +40,17 @@ class FileAddress(Address):
 
     def open(self) -> Source:
         # The file of a calibrated skin states the range of the forces, whatever the readings are.
-        return open_file(self.path, self._layout, self.raw, Needs(range=self.described is None))
+        return open_file(
+            self.path, self._layout, self.raw, Needs(range=self.described is None)
+        )
 
     @classmethod
     def listings(cls) -> Sequence[Listing]:
         """Recordings in the current folder, and bags of ROS 2, the newest first."""
         # A .txt or .log is a recording now and then; those that are listed are mostly recordings.
-        by_suffix = {s: words for s, words in suffixes().items() if s not in TEXT_SUFFIXES}
+        by_suffix = {
+            s: words for s, words in suffixes().items() if s not in TEXT_SUFFIXES
+        }
         recordings: dict[Path, str] = {}
         for path in Path().iterdir():
             words = by_suffix.get(path.suffix.lower(), "")
@@ -55,9 +59,12 @@ class FileAddress(Address):
         for path in Path().glob("*/metadata.yaml"):
             recordings[path.parent] = "bag of ROS 2"
 
-        newest = sorted(recordings, key=lambda path: -path.stat().st_mtime_ns)[:MAX_LISTED]
+        newest = sorted(recordings, key=lambda path: -path.stat().st_mtime_ns)[
+            :MAX_LISTED
+        ]
         entries = [
-            {"source": f"file:{printable(path.name)}", "about": recordings[path]} for path in newest
+            {"source": f"file:{printable(path.name)}", "about": recordings[path]}
+            for path in newest
         ]
         return (Listing("files", "recordings in this folder", entries),)
 
@@ -88,6 +95,7 @@ class ExampleAddress(FileAddress):
     @classmethod
     def listings(cls) -> Sequence[Listing]:
         entries = [
-            {"source": f"example:{name}", "about": about} for name, about in EXAMPLES.items()
+            {"source": f"example:{name}", "about": about}
+            for name, about in EXAMPLES.items()
         ]
         return (Listing("examples", "recordings of this package", entries),)

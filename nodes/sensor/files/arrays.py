@@ -75,13 +75,17 @@ class NumpyFile(StoredArrays):
                 self._add_members(n_bytes)
             else:
                 self._file.seek(0)
-                self._add("", npy_header(self._file, n_bytes), self._opened, can_seek=True)
+                self._add(
+                    "", npy_header(self._file, n_bytes), self._opened, can_seek=True
+                )
 
     def _add(self, key: str, header: NpyHeader, opened: Any, can_seek: bool) -> None:
         def open_at_first() -> Any:
             return opened(header.offset)
 
-        array = StoredArray(open_at_first, header.dtype, header.shape, header.by_columns, can_seek)
+        array = StoredArray(
+            open_at_first, header.dtype, header.shape, header.by_columns, can_seek
+        )
         self.add(key, array, header.dtype)
 
     @contextmanager
@@ -93,16 +97,26 @@ class NumpyFile(StoredArrays):
         # A small .npz can claim to become any size.
         limit = max(MAX_GROWN_BYTES, MAX_GROWTH * n_bytes)
         with opened_npz(self._file) as (archive, members):
-            arrays = [item for item in members.items() if item[1].filename.endswith(".npy")]
+            arrays = [
+                item for item in members.items() if item[1].filename.endswith(".npy")
+            ]
             for name, member in arrays[:MAX_ARRAYS]:
                 if member.file_size > limit:
-                    fault = f"would have {member.file_size} bytes, of a file of {n_bytes}"
-                    raise ArrayFileError(f"array {ascii(name)[:40]} {fault}; at most {limit}")
+                    fault = (
+                        f"would have {member.file_size} bytes, of a file of {n_bytes}"
+                    )
+                    raise ArrayFileError(
+                        f"array {ascii(name)[:40]} {fault}; at most {limit}"
+                    )
                 self._add_member(archive, name, member)
 
-    def _add_member(self, archive: zipfile.ZipFile, name: str, member: zipfile.ZipInfo) -> None:
+    def _add_member(
+        self, archive: zipfile.ZipFile, name: str, member: zipfile.ZipInfo
+    ) -> None:
         if member.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
-            raise ArrayFileError(f"array {ascii(name)[:40]}: compressed in a way unknown to NumPy")
+            raise ArrayFileError(
+                f"array {ascii(name)[:40]}: compressed in a way unknown to NumPy"
+            )
 
         @contextmanager
         def opened(offset: int) -> Iterator[IO[bytes]]:

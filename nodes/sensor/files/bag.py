@@ -112,7 +112,10 @@ class BagRecording(Recording):
 
         about = {topic: f"{n} frames" for topic, n in counts.items()}
         topic = choose(about, self._file.layout.topic, name, "topics of taxels")
-        if self._file.raw and topic_of(patch_of(topic), Calibration.schema) in bag.topics:
+        if (
+            self._file.raw
+            and topic_of(patch_of(topic), Calibration.schema) in bag.topics
+        ):
             fault = "its taxels are forces, of a calibrated skin; expected raw readings"
             raise SourceError(f"{name}: {fault}")
         return topic

@@ -107,7 +107,9 @@ class DatasetRecording(Recording):
                 yield self._unpacked(part, packing) if packing else part
 
     @staticmethod
-    def _unpacked(numbers: npt.NDArray[Any], packing: Mapping[str, float]) -> npt.NDArray[Any]:
+    def _unpacked(
+        numbers: npt.NDArray[Any], packing: Mapping[str, float]
+    ) -> npt.NDArray[Any]:
         """Numbers as the attributes of their array state them: NaN for its fill value, times its
         scale, plus its offset. Source: CF conventions, sections 2.5 and 8.1.
         """
@@ -123,7 +125,11 @@ class DatasetRecording(Recording):
         packing = {}
         for name in (SCALE, OFFSET, *FILL_VALUES):
             value = np.asarray(attributes.get(name, np.nan))
-            if value.size == 1 and value.dtype.kind in "iuf" and np.isfinite(value).all():
+            if (
+                value.size == 1
+                and value.dtype.kind in "iuf"
+                and np.isfinite(value).all()
+            ):
                 packing[name] = float(value.reshape(()))
         return packing
 
@@ -134,7 +140,9 @@ class DatasetRecording(Recording):
         sides = self._arrays.datasets[plan.time_key].sides
         blocks = self._arrays.blocks(plan.time_key, sides.index(max(sides)), size)
         where = self._arrays.where(plan.time_key)
-        return chain.from_iterable(checked_times(block.reshape(-1), where) for block in blocks)
+        return chain.from_iterable(
+            checked_times(block.reshape(-1), where) for block in blocks
+        )
 
     @cached_property
     def _plan(self) -> _Plan:
@@ -207,19 +215,25 @@ class DatasetRecording(Recording):
             return plan._replace(time_column=self._stated_column(plan, n))
 
         # Without a statement, only what no reading can be is taken as times: dates.
-        is_open = not (plan.time_key or layout.time or layout.columns or layout.n_stated == n)
+        is_open = not (
+            plan.time_key or layout.time or layout.columns or layout.n_stated == n
+        )
         if not is_open or n < 2:
             return plan
         begin = next(self._numbers(plan, frames_per_block(n)), np.empty((0, n)))
         places = dict(zip(ENDS, (0, n - 1), strict=True))
-        ends = {word: begin[:, column].astype(np.float64) for word, column in places.items()}
+        ends = {
+            word: begin[:, column].astype(np.float64) for word, column in places.items()
+        }
         dates = [word for word, numbers in ends.items() if times.is_epoch(numbers)]
         if len(dates) == 1:
             (word,) = dates
             note = f"the {word} column holds dates: it is read as the times"
             return plan._replace(time_column=places[word], notes=(*plan.notes, note))
         if layout.n_stated == n - 1:
-            rising = [word for word, numbers in ends.items() if (np.diff(numbers) > 0).all()]
+            rising = [
+                word for word, numbers in ends.items() if (np.diff(numbers) > 0).all()
+            ]
             self._ask_column(plan, rising)
         return plan
 
@@ -239,7 +253,9 @@ class DatasetRecording(Recording):
         fault = f"a row has {n} numbers, one more than taxels are stated"
         ways = " or ".join(f"time={word}" for word in rising) or "columns, as 1-16"
         options = [{"time": word} for word in rising]
-        raise UnstatedError(f"{self._arrays.where(plan.key)}: {fault}: state {ways}", *options)
+        raise UnstatedError(
+            f"{self._arrays.where(plan.key)}: {fault}: state {ways}", *options
+        )
 
     @cached_property
     def _head(self) -> Head:
@@ -367,13 +383,17 @@ class DatasetRecording(Recording):
 
         # As "seconds since 2026-03-12": the unit comes first.
         attributes = dataset.attributes
-        words = text_of(attributes.get("units", attributes.get(UNIT, ""))).lower().split()
+        words = (
+            text_of(attributes.get("units", attributes.get(UNIT, ""))).lower().split()
+        )
         unit = words[0] if words else ""
         if unit in NO_UNITS or self._layout.time_unit:
             return times.named_unit(self._arrays.last_part(plan.time_key))
         if unit not in TIME_UNITS:
             ways = "state time_unit, or time=none"
-            raise SourceError(f"{where}: its unit is {shown(unit)}, none of ns, us, ms, s; {ways}")
+            raise SourceError(
+                f"{where}: its unit is {shown(unit)}, none of ns, us, ms, s; {ways}"
+            )
         return TIME_UNITS[unit]
 
     def _mask(self, plan: _Plan) -> tuple[Mask | None, tuple[str, ...]]:
@@ -395,13 +415,19 @@ class DatasetRecording(Recording):
         is_flat = len(sides) == 1 and math.prod(shape) == sides[0]
         if shape not in (sides, sides[::-1]) and not is_flat:
             if self._arrays.last_part(plan.key) != FORCES:
-                return None, (f"array {printable(path)} is no mask of a frame: not read",)
-            fault = f"is {self._arrays.datasets[path].text}, but a frame {_times(sides)}"
+                return None, (
+                    f"array {printable(path)} is no mask of a frame: not read",
+                )
+            fault = (
+                f"is {self._arrays.datasets[path].text}, but a frame {_times(sides)}"
+            )
             raise SourceError(f"{where}: {fault}")
 
         mask = self._arrays.property_array(path)
         if mask.dtype.kind not in "biu" or not np.isin(mask, (0, 1)).all():
-            raise SourceError(f"{where}: expected bool (True where a taxel exists), or 0 and 1")
+            raise SourceError(
+                f"{where}: expected bool (True where a taxel exists), or 0 and 1"
+            )
         if is_flat:
             if self._layout.order == "columns":
                 mask = mask.transpose()
@@ -474,5 +500,7 @@ def _text_time(text: str, where: str) -> int:
     if stamp is None:
         stamp = times.clock_ns(text.strip())
     if stamp is None:
-        raise SourceError(f"{where}: {shown(text)} is no time, as 2026-11-03T10:15:02.120")
+        raise SourceError(
+            f"{where}: {shown(text)} is no time, as 2026-11-03T10:15:02.120"
+        )
     return stamp

@@ -42,7 +42,11 @@ RATES = (
 RATE_NAMES = frozenset(name.replace("_", "").removesuffix("hz") for name in RATES)
 PERIOD_NAMES = frozenset(
     {"dt", "ts", "timestep", "sampletime", "frametime"}
-    | {f"{word}{of}" for word in ("sample", "sampling", "frame") for of in ("period", "interval")}
+    | {
+        f"{word}{of}"
+        for word in ("sample", "sampling", "frame")
+        for of in ("period", "interval")
+    }
 )
 """The same of rates, and of times between frames, in small letters without other characters."""
 SCALE = "scale_factor"
@@ -155,7 +159,9 @@ class ArrayFile(ABC):
         """An array that is no larger than one of a property. Raises SourceError if it is."""
         n_bytes = self.datasets[key].n_bytes
         if n_bytes > MAX_PROPERTY_BYTES:
-            raise SourceError(f"{self.where(key)}: {n_bytes} bytes; at most {MAX_PROPERTY_BYTES}")
+            raise SourceError(
+                f"{self.where(key)}: {n_bytes} bytes; at most {MAX_PROPERTY_BYTES}"
+            )
         return self.whole(key)
 
 
@@ -210,7 +216,9 @@ def _candidates(arrays: ArrayFile, layout: Layout) -> list[str]:
         and not times.is_time_name(arrays.last_part(key))
     }
     # Where arrays are labelled as tactile data, others are none.
-    tactile = {key: kind for key, kind in readable.items() if TACTILE in arrays.last_part(key)}
+    tactile = {
+        key: kind for key, kind in readable.items() if TACTILE in arrays.last_part(key)
+    }
     readable = tactile or readable
 
     # Masks are of bool.
@@ -247,10 +255,14 @@ def times_keys(arrays: ArrayFile, layout: Layout) -> list[str]:
     lists = [
         key
         for key, dataset in arrays.datasets.items()
-        if dataset.dtype.kind in "iufMmUS" and dataset.n_axes <= 1 and math.prod(dataset.sides) > 1
+        if dataset.dtype.kind in "iufMmUS"
+        and dataset.n_axes <= 1
+        and math.prod(dataset.sides) > 1
     ]
     if time_name:
-        stated_keys = [key for key in lists if time_name in (key, arrays.last_part(key))]
+        stated_keys = [
+            key for key in lists if time_name in (key, arrays.last_part(key))
+        ]
         if not stated_keys:
             allowed = ", ".join(map(printable, lists[:MAX_SHOWN])) or "none"
             fault = f"time: {shown(time_name)} is no array of one axis; allowed: {allowed}, none"
@@ -292,7 +304,9 @@ def times_key(
     if len(nearest) > 1:
         ways = ", ".join(f"time={printable(key)}" for key in nearest[:MAX_SHOWN])
         fault = f"{len(nearest)} arrays may be the times of the frames: state {ways} or time=none"
-        raise UnstatedError(f"{arrays.name}: {fault}", *({"time": key} for key in nearest))
+        raise UnstatedError(
+            f"{arrays.name}: {fault}", *({"time": key} for key in nearest)
+        )
 
     ignored = [printable(key) for key in as_long if key not in nearest]
     if not ignored:
@@ -306,7 +320,9 @@ def _ask_for_times(arrays: ArrayFile, frames: str, n_frames: int) -> None:
     """
     rising = []
     for key, dataset in arrays.datasets.items():
-        is_list = dataset.n_axes == 1 and math.prod(dataset.sides) == n_frames > MIN_RISING
+        is_list = (
+            dataset.n_axes == 1 and math.prod(dataset.sides) == n_frames > MIN_RISING
+        )
         if key == frames or not is_list or dataset.dtype.kind not in "iuf":
             continue
         steps = np.diff(arrays.property_array(key).reshape(-1).astype(np.float64))
@@ -316,7 +332,9 @@ def _ask_for_times(arrays: ArrayFile, frames: str, n_frames: int) -> None:
         ways = " or ".join(f"time={printable(key)}" for key in rising[:MAX_SHOWN])
         fault = "a number for each frame rises, and is named as no time"
         options = [{"time": key} for key in rising]
-        raise UnstatedError(f"{arrays.name}: {fault}: state {ways}, or time=none", *options)
+        raise UnstatedError(
+            f"{arrays.name}: {fault}: state {ways}, or time=none", *options
+        )
 
 
 def _words(key: str) -> list[str]:

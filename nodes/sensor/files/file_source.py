@@ -26,7 +26,13 @@ from sparseskin.messages.skin import Skin
 from sparseskin.nodes.errors import SourceError, SparseskinError
 from sparseskin.nodes.lookup import nearest_of
 from sparseskin.nodes.numerics.arrays import Floats
-from sparseskin.nodes.sensor.layout.checks import ADD, COUNTS, check_unit, reading, shown
+from sparseskin.nodes.sensor.layout.checks import (
+    ADD,
+    COUNTS,
+    check_unit,
+    reading,
+    shown,
+)
 from sparseskin.nodes.sensor.layout.layout import (
     EMPTY,
     HOLD,
@@ -49,7 +55,9 @@ MAX_FRAMES = 1 << 31
 """Most frames of a recording, chosen: 24 days at 1 kHz."""
 KEPT_BYTES = 1 << 26
 """Frames of a file that are kept in memory, bytes; chosen: of three minutes of 40 x 40 at 60 Hz."""
-EXAMPLES = {"fingers": "fingers press on the edge of a hole, Tekscan I-Scan 6900, counts"}
+EXAMPLES = {
+    "fingers": "fingers press on the edge of a hole, Tekscan I-Scan 6900, counts"
+}
 """Recordings of this package, as example:NAME, and a few words on each."""
 DEFAULT_NEEDS = Needs()
 _HEADS: dict[tuple[object, ...], int | None] = {}
@@ -191,7 +199,9 @@ class RecordedSource(Source):
         has_range = (self._layout.f_max or frames.head.f_max) is not None
         needs_range = self._needs.range and not has_range
         self._reads_twice = False
-        needs_all = needs_range or self._needs.digest or Treatment.needs_survey(self._layout)
+        needs_all = (
+            needs_range or self._needs.digest or Treatment.needs_survey(self._layout)
+        )
         store: FrameStore | None = FrameStore(frames.shape)
         for stamp_ns, part in frames.blocks():
             survey.add(part, frames.extremes)
@@ -200,7 +210,11 @@ class RecordedSource(Source):
                 raise SourceError(f"{frames.name}: more than {MAX_FRAMES} frames")
             if store is not None:
                 store.add(stamp_ns, part)
-            if store is None or self._needs.in_memory or store.frames.nbytes <= KEPT_BYTES:
+            if (
+                store is None
+                or self._needs.in_memory
+                or store.frames.nbytes <= KEPT_BYTES
+            ):
                 continue
             store = None
             self._reads_twice = needs_range and not self._needs.digest
@@ -224,7 +238,9 @@ class RecordedSource(Source):
             lines.append(f"states no rate: taken as {DEFAULT_RATE_HZ:g} Hz; {hint}")
         if self._reads_twice:
             f_max = f"f_max={self.skin.f_max:g}"
-            lines.append(f"the whole file was read for its range first: {f_max} begins at once")
+            lines.append(
+                f"the whole file was read for its range first: {f_max} begins at once"
+            )
         lines += self._treatment.lines(self.skin.unit)
         self._lines.extend(lines)
         return tuple(lines)
@@ -282,7 +298,11 @@ def n_taxels(path: str, layout: Layout = EMPTY, raw: bool = False) -> int | None
     """Number of taxels of a recording, from the begin of its file, which a launch checks so; None
     where later frames decide it. Raises SourceError as `open_file`.
     """
-    with proposing(path, layout, raw), located(path) as (name, parts), reading(name) as file:
+    with (
+        proposing(path, layout, raw),
+        located(path) as (name, parts),
+        reading(name) as file,
+    ):
         # A launch asks several times: the answer holds until the file changes.
         status = os.fstat(file.fileno())
         key = (name, status.st_mtime_ns, status.st_size, layout, raw)
@@ -312,7 +332,9 @@ def located(path: str) -> Iterator[tuple[str, tuple[str, ...]]]:
     kind, _, example = path.partition(":")
     if kind == "example" and not folder.exists():
         if example not in EXAMPLES:
-            raise SourceError(f"{path}: there is no such{nearest_of(example, EXAMPLES)}")
+            raise SourceError(
+                f"{path}: there is no such{nearest_of(example, EXAMPLES)}"
+            )
         yield str(Path(__file__).with_name("examples") / f"{example}.npz"), ()
         return
     with folder_files(path) as (name, parts):
@@ -332,7 +354,9 @@ def proposing(path: str, layout: Layout, raw: bool) -> Iterator[None]:
         # A way that fails later in the file is none to propose.
         ways = [option for option in error.options if _reads(path, layout, raw, option)]
         if len(ways) == 1:
-            settings = [f"{key}={shlex.quote(str(value))}" for key, value in ways[0].items()]
+            settings = [
+                f"{key}={shlex.quote(str(value))}" for key, value in ways[0].items()
+            ]
             text = f"{text}{ADD}{' '.join(settings)}"
         raise SourceError(text) from error
 
@@ -353,7 +377,9 @@ def _reads(path: str, layout: Layout, raw: bool, option: Mapping[str, Any]) -> b
     return True
 
 
-def _fill(readings: MissingReadings, stamp_ns: npt.NDArray[np.int64], frames: Floats) -> None:
+def _fill(
+    readings: MissingReadings, stamp_ns: npt.NDArray[np.int64], frames: Floats
+) -> None:
     """Fill the missing readings of frames in place; those without any reading become NaN."""
     # Whole frames, too: the readings of the last one are held.
     for k in range(len(frames)):
@@ -416,7 +442,9 @@ def _unit(frames: Frames) -> str:
     of_file = frames.head.unit
     check_unit(frames.name, of_file)
     if setting is not None and of_file is not None and setting != of_file:
-        contradiction = f"unit = {shown(setting)} is stated, but the file states {shown(of_file)}"
+        contradiction = (
+            f"unit = {shown(setting)} is stated, but the file states {shown(of_file)}"
+        )
         raise SourceError(f"{frames.name}: {contradiction}")
     unit = setting or of_file
     if unit:

@@ -113,7 +113,11 @@ def _recognised(file: File, fitting: list[Format]) -> list[Format]:
     for format_ in fitting:
         if format_.recognises is not None and format_.recognises(begin):
             sure.append(format_)
-    return sure or [format_ for format_ in fitting if format_.recognises is None] or fitting
+    return (
+        sure
+        or [format_ for format_ in fitting if format_.recognises is None]
+        or fitting
+    )
 
 
 @contextmanager
@@ -126,7 +130,9 @@ def folder_files(path: str) -> Iterator[tuple[str, tuple[str, ...]]]:
     if not folder.is_dir():
         yield path, ()
         return
-    markers = [name for candidate in loaded(FILES).values() for name in candidate.markers]
+    markers = [
+        name for candidate in loaded(FILES).values() for name in candidate.markers
+    ]
     for name in markers:
         if (folder / name).is_file():
             yield str(folder / name), ()

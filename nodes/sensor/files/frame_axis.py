@@ -22,7 +22,9 @@ FRAME_LABELS = frozenset(
     | {"sample", "samples", "step", "steps"}
 )
 """Labels of the axis of the frames."""
-TAXEL_LABELS = frozenset({*ROWS, *COLS, *CHANNELS, "taxel", "taxels", "sensor", "sensors"})
+TAXEL_LABELS = frozenset(
+    {*ROWS, *COLS, *CHANNELS, "taxel", "taxels", "sensor", "sensors"}
+)
 _DIRECT = 0
 _WITH_TIME = 1
 _TRANSPOSED = 2
@@ -85,7 +87,10 @@ class _Way(NamedTuple):
 
 
 def find_frame_axis(
-    layout: Layout, array: ArrayShape, n_times: Collection[int], first_is_usual: bool | None
+    layout: Layout,
+    array: ArrayShape,
+    n_times: Collection[int],
+    first_is_usual: bool | None,
 ) -> FrameAxis:
     """The axis of the frames.
 
@@ -149,7 +154,9 @@ def _stated_labels(names: Sequence[str], array: ArrayShape) -> tuple[str, ...]:
         raise SourceError(f"{wrong}; state each of its {len(sides)} axes")
     for at, name in enumerate(labels):
         if name == "-" and sides[at] != 1:
-            raise SourceError(f"{wrong}: axis {at + 1} has {sides[at]} entries, - stands for one")
+            raise SourceError(
+                f"{wrong}: axis {at + 1} has {sides[at]} entries, - stands for one"
+            )
         if name != "-" and labels.count(name) > 1:
             raise SourceError(f"{wrong}: {name} is stated twice")
     return tuple(labels)
@@ -158,12 +165,16 @@ def _stated_labels(names: Sequence[str], array: ArrayShape) -> tuple[str, ...]:
 def _labelled(labels: Sequence[str], is_stated: bool) -> list[int | None] | None:
     """The axes that can be the frames by their labels; None where these say nothing."""
     words = [label.lower() for label in labels]
-    frames: list[int | None] = [at for at, word in enumerate(words) if word in FRAME_LABELS]
+    frames: list[int | None] = [
+        at for at, word in enumerate(words) if word in FRAME_LABELS
+    ]
     if frames:
         return frames
     if is_stated:
         return [None]
-    unlabelled: list[int | None] = [at for at, word in enumerate(words) if word not in TAXEL_LABELS]
+    unlabelled: list[int | None] = [
+        at for at, word in enumerate(words) if word not in TAXEL_LABELS
+    ]
     if 0 < len(unlabelled) < len(words):
         return unlabelled
     return None
@@ -221,14 +232,23 @@ def _fits(layout: Layout, sides: Sequence[int]) -> Iterator[int]:
 
 
 def _fitting(
-    layout: Layout, array: ArrayShape, axes: Collection[int | None], n_times: Collection[int]
+    layout: Layout,
+    array: ArrayShape,
+    axes: Collection[int | None],
+    n_times: Collection[int],
 ) -> list[int | None]:
     """Those axes that fit best what is stated, and times beside the array."""
     if not (layout.n_rows or layout.n_cols):
-        long_axes = [at for at in axes if at is not None and (at == 0 or array.sides[at] > 1)]
-        as_long: list[int | None] = [at for at in long_axes if array.sides[at] in n_times]
+        long_axes = [
+            at for at in axes if at is not None and (at == 0 or array.sides[at] > 1)
+        ]
+        as_long: list[int | None] = [
+            at for at in long_axes if array.sides[at] in n_times
+        ]
         return as_long or [*long_axes]
-    shape = f"{layout.n_rows or 'any'} x {layout.n_cols or 'any'} taxels (n_rows, n_cols)"
+    shape = (
+        f"{layout.n_rows or 'any'} x {layout.n_cols or 'any'} taxels (n_rows, n_cols)"
+    )
     fits = {at: _best_way(layout, array, at).fit for at in axes}
     fits = {at: fit for at, fit in fits.items() if fit != _NO_FIT}
     if not fits:
@@ -243,9 +263,8 @@ def _fitting(
     candidates = candidates or list(fits)
     if timed and candidates[0] not in timed:
         at = timed[0]
-        fault = (
-            f"axis {at + 1} of {array.text} is as long as the times, but leaves no frame of {shape}"
-        )
+        time_axis = f"axis {at + 1} of {array.text}"
+        fault = f"{time_axis} is as long as the times, but leaves no frame of {shape}"
         raise SourceError(f"{array.where}: {fault}; state axes, or time=none")
     best = min(fits[at] for at in candidates)
     return [at for at in candidates if fits[at] == best]
@@ -269,7 +288,9 @@ def _decided(
     is_plausible = _first_is_plausible(array.sides)
     if 0 in axes and (first_is_usual is None or (first_is_usual and is_plausible)):
         return 0, "the first one, as is usual"
-    options = [{"axes": _axes_text(array, _best_way(layout, array, axis))} for axis in axes]
+    options = [
+        {"axes": _axes_text(array, _best_way(layout, array, axis))} for axis in axes
+    ]
     ways = [
         f"axes={option['axes']} ({array.sides[axis]} frames)"
         for axis, option in zip(axes, options, strict=True)
@@ -306,7 +327,9 @@ def _axes_text(array: ArrayShape, way: _Way) -> str:
 
 def _items(array: ArrayShape, way: _Way) -> Iterator[Axis]:
     """The axes of a frame, with labels where they are known."""
-    grid = [at for at in array.others(way.axis) if array.sides[at] > 1 and at != way.channel]
+    grid = [
+        at for at in array.others(way.axis) if array.sides[at] > 1 and at != way.channel
+    ]
     for at in array.others(way.axis):
         label = array.labels[at]
         if at == way.channel:

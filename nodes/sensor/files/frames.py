@@ -116,14 +116,18 @@ class Frames:
         if self.is_timed:
             time_name = self.head.time_name
             if not self._unit_stated:
-                lines.append(f"times: {time_name or 'of each item'}, taken as {self.time_unit}")
+                lines.append(
+                    f"times: {time_name or 'of each item'}, taken as {self.time_unit}"
+                )
             elif time_name:
                 lines.append(f"times: {time_name} in {self.time_unit}")
         elif self.head.is_timed:
             time_name = self.head.time_name or "those of each item"
             lines.append(f"times: {time_name}, not read, since a rate is stated")
         if self.n_repeated:
-            lines.append(f"{self.n_repeated} times repeat the one before: 1 ns later each")
+            lines.append(
+                f"{self.n_repeated} times repeat the one before: 1 ns later each"
+            )
         lines.append(self.recording.tally.text)
         return lines
 
@@ -136,7 +140,9 @@ class Frames:
         # All that is missing is named at once.
         arrangement: Arrangement | None = None
         try:
-            arrangement = arrange(self.layout, self.head.axes, self.name, self.head.usable)
+            arrangement = arrange(
+                self.layout, self.head.axes, self.name, self.head.usable
+            )
         except UnstatedError as error:
             faults.append(error)
         if self.head.asks_unit and not (self.layout.unit or self.raw):
@@ -156,7 +162,9 @@ class Frames:
         if mask is None:
             return None
         if mask.size == 0 or not mask.any():
-            raise SourceError(f"{self.name}: no cell of the skin is a taxel, all are masked")
+            raise SourceError(
+                f"{self.name}: no cell of the skin is a taxel, all are masked"
+            )
         arranged: Mask = self.arrangement.frames(mask[None])[0]
         return arranged
 
@@ -243,7 +251,9 @@ class Frames:
         place = f"{self.name}: frame {self.n_frames + frame}, row {row}, column {col}"
         return f"{place}: {float(readings[frame, row, col]):.9g}"
 
-    def _refuse_negative(self, readings: npt.NDArray[Any], frames: Floats, below: Mask) -> None:
+    def _refuse_negative(
+        self, readings: npt.NDArray[Any], frames: Floats, below: Mask
+    ) -> None:
         """Raise what may be stated of readings below 0. One number far below all others stands for
         no reading; else they are noise around 0, or a signed quantity.
         """

@@ -33,13 +33,21 @@ class Parsed:
     forces: npt.NDArray[Any]
     unit: str | None = None
     rate_hz: float | None = None
-    stamp_ns: tuple[int, ...] | None = None  # of each frame since the first, strictly increasing
+    stamp_ns: tuple[int, ...] | None = (
+        None  # of each frame since the first, strictly increasing
+    )
     pitch_m: float | None = None  # between neighbouring taxels
     mask: Mask | None = None  # (n_rows, n_cols), True where a taxel exists
     f_max: float | None = None  # upper end of the range, in `unit`
-    points: npt.NDArray[Any] | None = None  # float32 (n_taxels, 6): places, m, and unit normals
-    point_rows: npt.NDArray[Any] | None = None  # int32 (n_taxels,): their rows in a file of points
-    notes: tuple[str, ...] = ()  # for the log: what was taken, where the file can be read otherwise
+    points: npt.NDArray[Any] | None = (
+        None  # float32 (n_taxels, 6): places, m, and unit normals
+    )
+    point_rows: npt.NDArray[Any] | None = (
+        None  # int32 (n_taxels,): their rows in a file of points
+    )
+    notes: tuple[
+        str, ...
+    ] = ()  # for the log: what was taken, where the file can be read otherwise
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,10 +69,16 @@ class Head:
     f_max: float | None = None  # upper end of the range, in `unit`
     pitch_m: float | None = None  # between neighbouring taxels
     mask: Mask | None = None  # (n_rows, n_cols), True where a taxel exists
-    points: npt.NDArray[Any] | None = None  # float32 (n_taxels, 6): places, m, and unit normals
-    point_rows: npt.NDArray[Any] | None = None  # int32 (n_taxels,): their rows in a file of points
+    points: npt.NDArray[Any] | None = (
+        None  # float32 (n_taxels, 6): places, m, and unit normals
+    )
+    point_rows: npt.NDArray[Any] | None = (
+        None  # int32 (n_taxels,): their rows in a file of points
+    )
     n_items: int | None = None  # None: the end of the file shows it
-    notes: tuple[str, ...] = ()  # for the log: what was taken, where it can be read otherwise
+    notes: tuple[
+        str, ...
+    ] = ()  # for the log: what was taken, where it can be read otherwise
 
 
 class Block(NamedTuple):
@@ -149,7 +163,9 @@ def rising(stamps: Sequence[int], name: str) -> tuple[int, ...] | None:
     """Stamps since the first; None if some are repeated. SourceError if they fall."""
     for k, (previous, stamp) in enumerate(pairwise(stamps), start=2):
         if stamp < previous:
-            raise SourceError(f"{name}: the time of frame {k} is before that of the one before it")
+            raise SourceError(
+                f"{name}: the time of frame {k} is before that of the one before it"
+            )
     if len(set(stamps)) < len(stamps):
         return None
     return tuple(stamp - stamps[0] for stamp in stamps)
@@ -201,7 +217,9 @@ class Lines(Iterator[str]):
             self._line = text.removesuffix("\n").removesuffix("\r")
 
             if len(raw) == MAX_LINE_BYTES:
-                raise SourceError(f"{self.where}: is followed by one of {len(raw)} bytes or more")
+                raise SourceError(
+                    f"{self.where}: is followed by one of {len(raw)} bytes or more"
+                )
         self._again = False
         self.number += 1
         return self._line
@@ -219,4 +237,6 @@ def stack_frames(frames: list[npt.NDArray[Any]], where: str) -> Doubles:
     try:
         return np.stack(frames).astype(np.float64, copy=False)
     except MemoryError:
-        raise SourceError(f"{where}: {len(frames)} frames do not fit in memory") from None
+        raise SourceError(
+            f"{where}: {len(frames)} frames do not fit in memory"
+        ) from None

@@ -13,7 +13,14 @@ import numpy as np
 import numpy.typing as npt
 
 from sparseskin.nodes.numerics.arrays import Floats, Mask
-from sparseskin.nodes.sensor.layout.layout import KEEP, MASK, OFFSET, REFUSE, ZERO, Layout
+from sparseskin.nodes.sensor.layout.layout import (
+    KEEP,
+    MASK,
+    OFFSET,
+    REFUSE,
+    ZERO,
+    Layout,
+)
 from sparseskin.nodes.sensor.missing import FILLED
 
 from .frames import Stamped
@@ -172,7 +179,9 @@ class Treatment:
         is_told = self._survey.n_negative and self._layout.negative != REFUSE
         if is_told:
             way = done.get(self._negative, subtracted)
-            lines.append(f"{self._survey.n_negative} readings of the file are below 0: {way}")
+            lines.append(
+                f"{self._survey.n_negative} readings of the file are below 0: {way}"
+            )
         if lines and self.n_masked:
             lines[-1] += f" ({self.n_masked} taxels masked)"
         return lines

@@ -22,7 +22,16 @@ ROWS = (*ROW_WORDS, "height", "row_count")
 COLS = (*COL_WORDS, "width", "col_count")
 UNNAMED = "numbers"
 """Label of columns without names, of which some may be no taxels."""
-CHANNELS = ("channel", "channels", "axis", "axes", "xyz", "component", "components", "dim")
+CHANNELS = (
+    "channel",
+    "channels",
+    "axis",
+    "axes",
+    "xyz",
+    "component",
+    "components",
+    "dim",
+)
 XYZ = ("x", "y", "z")
 MAX_WAYS = 8
 
@@ -53,7 +62,10 @@ class Arrangement(NamedTuple):
 
 
 def arrange(
-    layout: Layout, axes: Sequence[Axis], where: str, usable: Sequence[int] | None = None
+    layout: Layout,
+    axes: Sequence[Axis],
+    where: str,
+    usable: Sequence[int] | None = None,
 ) -> Arrangement:
     """Places of the taxels in items with these axes.
 
@@ -64,7 +76,9 @@ def arrange(
     sizes = [axis.size for axis in axes]
     n_numbers = math.prod(sizes)
     if not 1 <= n_numbers <= 16 * MAX_ELEMENTS:
-        raise SourceError(f"{where}: an item holds {n_numbers} numbers; allowed: 1..{MAX_ELEMENTS}")
+        raise SourceError(
+            f"{where}: an item holds {n_numbers} numbers; allowed: 1..{MAX_ELEMENTS}"
+        )
     places = np.arange(n_numbers).reshape(sizes)
     labelled = list(axes)
     notes: tuple[str, ...] = ()
@@ -115,7 +129,9 @@ def order_of(text: str, n: int) -> list[int] | None:
     if text == "reversed":
         return list(range(n))[::-1]
     parts = text.split(",")
-    if len(parts) != n or not all(p.strip().isdecimal() and len(p.strip()) < 6 for p in parts):
+    if len(parts) != n or not all(
+        p.strip().isdecimal() and len(p.strip()) < 6 for p in parts
+    ):
         return None
     order = [int(part) for part in parts]
     if sorted(order) != list(range(n)):
@@ -125,7 +141,9 @@ def order_of(text: str, n: int) -> list[int] | None:
 
 def shapes_of(n: int) -> str:
     """Shapes of n taxels, the most square ones first: "2 x 3, 3 x 2, 1 x 6 or 6 x 1"."""
-    sides = [k for k in range(1, min(n, MAX_SIDE) + 1) if n % k == 0 and n // k <= MAX_SIDE]
+    sides = [
+        k for k in range(1, min(n, MAX_SIDE) + 1) if n % k == 0 and n // k <= MAX_SIDE
+    ]
     sides.sort(key=lambda k: (abs(math.log(k * k / n)), k))
     shapes = [f"{k} x {n // k}" for k in sides[:MAX_WAYS]]
     if len(shapes) < 2:
@@ -159,7 +177,9 @@ def _one_channel(
     at = _channel_axis(layout, axes, where)
     if at is None and len(axes) > 2:
         hint = "state axes, as rows,cols,channel, and channel"
-        raise UnstatedError(f"{where}: an item has {len(axes)} axes, {_sides(axes)}; {hint}")
+        raise UnstatedError(
+            f"{where}: an item has {len(axes)} axes, {_sides(axes)}; {hint}"
+        )
     if at is None:
         return places, axes, ()
     entry, note = _entry(layout, axes[at], where)
@@ -189,7 +209,9 @@ def _channel_axis(layout: Layout, axes: list[Axis], where: str) -> int | None:
     min_size = min(axes[at].size for at in fitting)
     smallest = [at for at in fitting if axes[at].size == min_size]
     if len(smallest) > 1:
-        fault = f"which axis of {_sides(axes)} has channel {layout.channel} is not stated"
+        fault = (
+            f"which axis of {_sides(axes)} has channel {layout.channel} is not stated"
+        )
         options = [{"axes": _with_channel_at(at, len(axes))} for at in smallest]
         ways = " or ".join(f"axes={option['axes']}" for option in options)
         raise UnstatedError(f"{where}: {fault}: state {ways}", *options)
@@ -217,7 +239,11 @@ def may_hold_channel(channel: str, size: int) -> bool:
 def _entry(layout: Layout, axis: Axis, where: str) -> tuple[int, str]:
     """The entry of an axis of channels that is read, and what is to be said about it."""
     names = tuple(map(str.lower, axis.names))
-    if not names and axis.size == len(XYZ) and axis.label.lower() in ("xyz", "axis", "axes"):
+    if (
+        not names
+        and axis.size == len(XYZ)
+        and axis.label.lower() in ("xyz", "axis", "axes")
+    ):
         names = XYZ
     channel = layout.channel.lower()
     if not channel and NORMAL in names:
@@ -233,7 +259,9 @@ def _entry(layout: Layout, axis: Axis, where: str) -> tuple[int, str]:
     allowed = ", ".join(names) or f"0..{axis.size - 1}"
     if channel:
         raise SourceError(f"{where}: channel: {channel!r} is none of {allowed}")
-    raise UnstatedError(f"{where}: {axis.size} numbers per taxel; state channel, of {allowed}")
+    raise UnstatedError(
+        f"{where}: {axis.size} numbers per taxel; state channel, of {allowed}"
+    )
 
 
 def _as_grid(
@@ -244,7 +272,9 @@ def _as_grid(
     n_cols = layout.n_cols
     if len(axes) == 2:
         labels = [axis.label.lower() for axis in axes]
-        is_transposed = labels[0] in COLS or (labels[1] in ROWS and labels[0] not in ROWS)
+        is_transposed = labels[0] in COLS or (
+            labels[1] in ROWS and labels[0] not in ROWS
+        )
         grid = places.T if is_transposed else places
         is_stated_flat = 1 in grid.shape and layout.n_stated == grid.size
         if not is_stated_flat:
@@ -290,8 +320,12 @@ def _ordered(layout: Layout, places: npt.NDArray[Any], where: str) -> npt.NDArra
         n = places.shape[axis]
         order = order_of(text, n)
         if order is None:
-            allowed = f"allowed: forward, reversed, or each of 0..{n - 1} once, with commas"
-            raise SourceError(f"{where}: {key}: {text[:40]!r} is not allowed; {allowed}")
+            allowed = (
+                f"allowed: forward, reversed, or each of 0..{n - 1} once, with commas"
+            )
+            raise SourceError(
+                f"{where}: {key}: {text[:40]!r} is not allowed; {allowed}"
+            )
         # The inverse of the order: entry k is put at order[k].
         places = np.take(places, np.argsort(order), axis=axis)
     return places

@@ -60,9 +60,13 @@ def choose(
     if stated in candidates:
         return stated
     examples = islice(candidates.items(), MAX_EXAMPLES)
-    texts = ", ".join(f"{printable(candidate)} ({about})" for candidate, about in examples)
+    texts = ", ".join(
+        f"{printable(candidate)} ({about})" for candidate, about in examples
+    )
     if stated:
-        raise SourceError(f"{name}: holds no {key} {shown(stated)}; allowed: {texts or 'none'}")
+        raise SourceError(
+            f"{name}: holds no {key} {shown(stated)}; allowed: {texts or 'none'}"
+        )
     if not candidates:
         raise SourceError(f"{name}: holds no {what}")
     if len(candidates) > 1:
@@ -102,7 +106,9 @@ def unreadable(name: str, error: Exception) -> SourceError:
     return SourceError(f"{name}: cannot be read ({text})")
 
 
-def parse_number(token: str, where: str, low: float = -math.inf, high: float = math.inf) -> float:
+def parse_number(
+    token: str, where: str, low: float = -math.inf, high: float = math.inf
+) -> float:
     """Read a decimal number; SourceError if it is none, not finite or outside [low, high]."""
     try:
         # float() would read the Python literal 1_0 as ten.
@@ -125,7 +131,9 @@ def parse_whole(token: str, where: str, low: int, high: int) -> int:
     """Read a whole number; SourceError if it is none, or outside [low, high]."""
     # Nine digits hold every count of rows or frames; int() of a million digits would not end.
     if not (token.isascii() and token.isdigit() and len(token) <= 9):
-        raise SourceError(f"{where}: {shown(token)} is not a whole number in {low}..{high}")
+        raise SourceError(
+            f"{where}: {shown(token)} is not a whole number in {low}..{high}"
+        )
     value = int(token)
     if not low <= value <= high:
         raise SourceError(f"{where}: {value} is outside {low}..{high}")
@@ -141,7 +149,9 @@ def parse_mask(rows: Any, shape: tuple[int, int], where: str) -> Mask:
     row_of = re.compile(f"[01]{{{n_cols}}}")
     texts = isinstance(rows, list) and all(isinstance(row, str) for row in rows)
     if not (texts and len(rows) == n_rows and all(map(row_of.fullmatch, rows))):
-        raise SourceError(f"{where}: expected {n_rows} texts of {n_cols} characters 0 and 1")
+        raise SourceError(
+            f"{where}: expected {n_rows} texts of {n_cols} characters 0 and 1"
+        )
     return np.array([[cell == "1" for cell in row] for row in rows], dtype=np.bool_)
 
 
@@ -154,7 +164,14 @@ def check_number(where: str, what: str, value: Any, high: float = MAX_READING) -
 
 def check_unit(where: str, unit: object) -> None:
     """Raise SourceError unless a unit is None or a free text of 1 to 32 printable characters."""
-    is_text = isinstance(unit, str) and unit.strip() and unit.isprintable() and len(unit) <= 32
+    is_text = (
+        isinstance(unit, str)
+        and unit.strip()
+        and unit.isprintable()
+        and len(unit) <= 32
+    )
     if unit is not None and not is_text:
         place = f"{where}: unit = {shown(unit)}"
-        raise SourceError(f"{place}; expected 1 to 32 printable characters, as N or kPa")
+        raise SourceError(
+            f"{place}; expected 1 to 32 printable characters, as N or kPa"
+        )

@@ -56,17 +56,24 @@ class GridLayout(Settings):
         low=1,
         high=MAX_SIDE,
     )
-    n_cols: int | None = setting(None, "columns of a frame, as n_rows", low=1, high=MAX_SIDE)
+    n_cols: int | None = setting(
+        None, "columns of a frame, as n_rows", low=1, high=MAX_SIDE
+    )
     order: str = setting(
         "rows", "readings come row after row, or column after column", choices=ORDERS
     )
-    row_order: str = setting("forward", "rows as they come: forward, reversed, or 2,0,1")
+    row_order: str = setting(
+        "forward", "rows as they come: forward, reversed, or 2,0,1"
+    )
     col_order: str = setting("forward", "the same of the columns")
     unit: str | None = setting(
         None, "unit of a file's or driver's readings: N, kPa, counts or another text"
     )
     f_max: float | None = setting(
-        None, "upper end of a file's or driver's range, in its unit", low=1e-9, high=1e30
+        None,
+        "upper end of a file's or driver's range, in its unit",
+        low=1e-9,
+        high=1e30,
     )
 
     @property
@@ -90,12 +97,16 @@ class Layout(GridLayout):
         "taxels,frames",
     )
     columns: str = setting(
-        "", "taxels of a table: names as s*, or numbers from 1 as 2-65, separated by commas"
+        "",
+        "taxels of a table: names as s*, or numbers from 1 as 2-65, separated by commas",
     )
     channel: str = setting(
-        "", "of several numbers per taxel the one that is read: a name as z, or a number from 0"
+        "",
+        "of several numbers per taxel the one that is read: a name as z, or a number from 0",
     )
-    field: str = setting("", "field of a message that holds the readings, as sensors[0].taxels[].z")
+    field: str = setting(
+        "", "field of a message that holds the readings, as sensors[0].taxels[].z"
+    )
     time: str = setting(
         "",
         "column, array or field of the times: its name or number; first; last; none; log, of "
@@ -130,7 +141,8 @@ class Layout(GridLayout):
         choices=NEGATIVE_WAYS,
     )
     topic: str = setting(
-        "", "topic of a recording (ROS, sparseskin), or name or path of the array in a file"
+        "",
+        "topic of a recording (ROS, sparseskin), or name or path of the array in a file",
     )
     frame_id: str = setting(
         "",
@@ -138,7 +150,10 @@ class Layout(GridLayout):
         "whose column of sensors has it",
     )
     skip: int = setting(
-        0, "lines of a table, or messages, before the first that is read", low=0, high=2**31 - 1
+        0,
+        "lines of a table, or messages, before the first that is read",
+        low=0,
+        high=2**31 - 1,
     )
 
     def __post_init__(self) -> None:
@@ -155,7 +170,9 @@ class Layout(GridLayout):
             allowed = f"allowed: {', '.join(AXES)}, separated by commas"
             raise SettingsError(f"axes: {unknown[0]!r} is no axis; {allowed}")
         if self.channel and not CHANNEL.fullmatch(self.channel):
-            raise SettingsError(f"channel: {self.channel!r}; allowed: a name as z, or a number")
+            raise SettingsError(
+                f"channel: {self.channel!r}; allowed: a name as z, or a number"
+            )
 
     @property
     def axis_names(self) -> tuple[str, ...]:
@@ -179,7 +196,9 @@ class Layout(GridLayout):
     @property
     def missing_texts(self) -> frozenset[str]:
         """Texts that stand for no reading, in small letters."""
-        return frozenset(text.strip().lower() for text in self.missing.split(",") if text.strip())
+        return frozenset(
+            text.strip().lower() for text in self.missing.split(",") if text.strip()
+        )
 
     @property
     def missing_numbers(self) -> tuple[float, ...]:

@@ -43,7 +43,9 @@ class Selection:
     notes: tuple[str, ...] = ()
 
 
-def select(layout: Layout, names: Sequence[str], usable: Sequence[int], where: str) -> Selection:
+def select(
+    layout: Layout, names: Sequence[str], usable: Sequence[int], where: str
+) -> Selection:
     """The taxels among columns, of which `usable` hold numbers and are no times.
 
     Columns that are stated are used. Else taxels are the columns whose names have numbers; of
@@ -72,7 +74,9 @@ def stated_columns(text: str, names: Sequence[str], n: int, where: str) -> list[
     return list(columns)
 
 
-def matching(part: str, names: Sequence[str], n: int, where: str, key: str) -> list[int]:
+def matching(
+    part: str, names: Sequence[str], n: int, where: str, key: str
+) -> list[int]:
     """The columns of a name, a pattern, a number from 1 or a range. Raises SourceError if none."""
 
     # A number may be a name, too: then it is the name.
@@ -85,7 +89,9 @@ def matching(part: str, names: Sequence[str], n: int, where: str, key: str) -> l
             columns = list(range(begin - 1, end))
     else:
         columns = [k for k, name in enumerate(names) if name == part]
-        columns = columns or [k for k, name in enumerate(names) if fnmatchcase(name, part)]
+        columns = columns or [
+            k for k, name in enumerate(names) if fnmatchcase(name, part)
+        ]
     if not columns:
         header = _listed(names) if any(names) else "no header"
         allowed = "allowed: names, patterns as s*, numbers from 1 as 2-65"
@@ -124,13 +130,17 @@ def _chosen(
     where: str,
 ) -> tuple[list[int], tuple[str, ...]]:
     """The taxels, and what is to be said."""
-    indexed = {family: columns for family, columns in families.items() if "#" in family.pattern}
+    indexed = {
+        family: columns for family, columns in families.items() if "#" in family.pattern
+    }
     channels = _channels(indexed)
     if layout.channel or len(channels) > 1:
         channel_name = layout.channel or NORMAL
         if channel_name not in channels:
             kinds = ", ".join(channels) or "none"
-            raise SourceError(f"{where}: channel: no columns of {channel_name!r}; it has {kinds}")
+            raise SourceError(
+                f"{where}: channel: no columns of {channel_name!r}; it has {kinds}"
+            )
         columns = channels[channel_name]
         if layout.n_stated is None or len(columns) == layout.n_stated:
             return columns, (f"channel {channel_name} of {', '.join(channels)}",)
@@ -181,12 +191,16 @@ def _undecided(
         about += f" ({'; '.join(kinds)})"
     if layout.n_stated is not None and not ways:
         needed = f"n_rows x n_cols = {layout.n_rows} x {layout.n_cols} needs {layout.n_stated}"
-        raise SourceError(f"{where}: {about}, but {needed}; state columns, or another shape")
+        raise SourceError(
+            f"{where}: {about}, but {needed}; state columns, or another shape"
+        )
 
     options = [{"columns": _as_text(names, columns)} for columns in ways]
     hint = "columns, or n_rows and n_cols"
     if layout.n_stated is not None:
-        hint = " or ".join(f"columns={option['columns']}" for option in options[:MAX_SHOWN])
+        hint = " or ".join(
+            f"columns={option['columns']}" for option in options[:MAX_SHOWN]
+        )
     fault = f"{where}: {about}: which are taxels is not stated"
     raise UnstatedError(f"{fault}: state {hint}", *options)
 
@@ -204,10 +218,14 @@ def _channels(indexed: dict[Family, list[int]]) -> dict[str, list[int]]:
     return {}
 
 
-def _of_channel(channel: str, names: Sequence[str], columns: list[int], where: str) -> list[int]:
+def _of_channel(
+    channel: str, names: Sequence[str], columns: list[int], where: str
+) -> list[int]:
     of_channel = [k for k in columns if _family(names[k]).channel == channel.lower()]
     if not of_channel:
-        raise SourceError(f"{where}: channel: no column of {channel!r} among the stated ones")
+        raise SourceError(
+            f"{where}: channel: no column of {channel!r} among the stated ones"
+        )
     return of_channel
 
 
@@ -249,7 +267,9 @@ def _words(name: str) -> list[str]:
 def _grid_numbers(name: str, numbers: Sequence[tuple[int, ...]]) -> list[int]:
     """Which numbers of the names are rows and columns: two with such words, or all that vary."""
     words = _words(name)
-    labelled = [at for at, word in enumerate(words) if word in ROW_WORDS or word in COL_WORDS]
+    labelled = [
+        at for at, word in enumerate(words) if word in ROW_WORDS or word in COL_WORDS
+    ]
     if len(labelled) == 2:
         return labelled
     varying = []
@@ -267,7 +287,9 @@ def _grid(
     grid; None where they do not, or where nothing states which is which.
     """
     outer_at, inner_at = varying
-    pairs = {(of_name[outer_at], of_name[inner_at]): k for k, of_name in numbers.items()}
+    pairs = {
+        (of_name[outer_at], of_name[inner_at]): k for k, of_name in numbers.items()
+    }
     n_outer = len({outer for outer, _ in pairs})
     n_inner = len({inner for _, inner in pairs})
     if len(pairs) != len(numbers) or n_outer * n_inner != len(pairs):

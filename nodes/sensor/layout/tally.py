@@ -48,7 +48,9 @@ class Tally:
         """
         n_accounted = self.n_frames + self.n_further + self.dropped.total()
         if n_accounted != self.n_items:
-            counts = f"{self.n_items} {self.what} were read, {n_accounted} are accounted for"
+            counts = (
+                f"{self.n_items} {self.what} were read, {n_accounted} are accounted for"
+            )
             raise SourceError(f"{where}: {counts}; the file is not used")
         if n_expected is not None and n_expected != self.n_items:
             counts = f"it states {n_expected} {self.what}, but holds {self.n_items}"

@@ -33,7 +33,14 @@ UNIT_NAME = re.compile(
     r"|(?P<long>mins|minute|hour|hr|day)s?)\W*$"
 )
 LONG_UNITS = {
-    **{"nanos": "ns", "nano": "ns", "n": "ns", "micros": "us", "micro": "us", "u": "us"},
+    **{
+        "nanos": "ns",
+        "nano": "ns",
+        "n": "ns",
+        "micros": "us",
+        "micro": "us",
+        "u": "us",
+    },
     **{"µs": "us", "µ": "us", "millis": "ms", "milli": "ms", "m": "ms"},
     **{"mins": "min", "minute": "min", "hour": "h", "hr": "h", "day": "d"},
 }
@@ -43,7 +50,9 @@ FIRST_YEAR = 1998
 LAST_YEAR = 2103
 RATES_HZ = 0.1, 2000.0
 """Rates at which skins are read; chosen: of a bed a frame in 10 s, of boards 2 kHz."""
-OTHER_DATE = re.compile(r"(?:(\d{1,2})\.(\d{1,2})\.(\d{4})|(\d{4})/(\d{1,2})/(\d{1,2}))(?=$|[ T])")
+OTHER_DATE = re.compile(
+    r"(?:(\d{1,2})\.(\d{1,2})\.(\d{4})|(\d{4})/(\d{1,2})/(\d{1,2}))(?=$|[ T])"
+)
 """Dates of one meaning; 3/12/2026 has two."""
 BASIC_DATE = re.compile(r"(\d{8})[T_ ]?(\d{6})(?:[.,]?(\d{1,9}))?")
 """Dates without separators, as 20260312T101502.120 or 20260312101502."""
@@ -122,7 +131,11 @@ def epoch_unit(times: npt.NDArray[np.float64]) -> str:
     low_s, high_s = EPOCH_S
     for unit in ("s", "ms", "us", "ns"):
         per_s = 1e9 / NS[unit]
-        if times.size and (times >= low_s * per_s).all() and (times <= high_s * per_s).all():
+        if (
+            times.size
+            and (times >= low_s * per_s).all()
+            and (times <= high_s * per_s).all()
+        ):
             return unit
     return ""
 
@@ -150,7 +163,9 @@ def unit_of(times: Sequence[float], where: str) -> str:
             usual[unit] = rate_hz
     if len(usual) == 1:
         return next(iter(usual))
-    ways = " or ".join(f"time_unit={unit} ({rate:.4g} Hz)" for unit, rate in usual.items())
+    ways = " or ".join(
+        f"time_unit={unit} ({rate:.4g} Hz)" for unit, rate in usual.items()
+    )
     hint = ways or "time_unit"
     raise UnstatedError(f"{where}: the unit of the times is not stated: state {hint}")
 
@@ -212,7 +227,9 @@ class Stamps:
             text = f"{where}: {fault}, by {fall_ns / 1e9:.4g} s; {ways}"
             if self.wrap is None and 2 * fall_ns > NS[self.unit] * USUAL_WRAP:
                 way = {"time_wrap": USUAL_WRAP}
-                raise UnstatedError(f"{text}; or time_wrap, if they begin again at 0", way)
+                raise UnstatedError(
+                    f"{text}; or time_wrap, if they begin again at 0", way
+                )
             raise SourceError(text)
         self._last_time_ns = time_ns
 

@@ -38,7 +38,9 @@ class SceneAddress(Address):
         has_points = bool(self.points) or "points" in (self.simulated or {})
         if on_grid and has_points:
             allowed = ", ".join(point_scenes())
-            raise SourceError(f"scene {name} presses a flat grid; allowed on points: {allowed}")
+            raise SourceError(
+                f"scene {name} presses a flat grid; allowed on points: {allowed}"
+            )
 
         if name in TILED:
             self._check_size(self._described().shape)
@@ -112,4 +114,6 @@ class SceneAddress(Address):
 
 
 def _entries(scenes: Mapping[str, str]) -> list[dict[str, str]]:
-    return [{"source": f"scene:{name}", "about": words} for name, words in scenes.items()]
+    return [
+        {"source": f"scene:{name}", "about": words} for name, words in scenes.items()
+    ]

@@ -38,7 +38,9 @@ class Sole:
     """The underside of a body as a height map."""
 
     heights: Doubles  # (n_y, n_x), m above its lowest point; FAR_M beside it, at all edges too
-    x_min: float  # body coordinates of heights[0, 0], m; the centre of mass is at (0, 0)
+    x_min: (
+        float  # body coordinates of heights[0, 0], m; the centre of mass is at (0, 0)
+    )
     y_min: float
     grid_m: float = GRID_M
 
@@ -77,7 +79,9 @@ class Sole:
         return lower
 
 
-def slab(x_min: float, x_max: float, y_min: float, y_max: float, height: float) -> Primitive:
+def slab(
+    x_min: float, x_max: float, y_min: float, y_max: float, height: float
+) -> Primitive:
     """A flat, axis-parallel underside at one height; all in m."""
 
     def underside(x: Doubles, y: Doubles) -> Doubles:
@@ -112,7 +116,10 @@ def roller(
 
 
 def capsule(
-    start: tuple[float, float], end: tuple[float, float], radius: float, height: float = 0.0
+    start: tuple[float, float],
+    end: tuple[float, float],
+    radius: float,
+    height: float = 0.0,
 ) -> Primitive:
     """A rounded bead along a segment, its lowest line at `height`; all in m."""
 
@@ -125,7 +132,10 @@ def capsule(
 
 
 def bar(
-    start: tuple[float, float], end: tuple[float, float], half_width: float, height: float
+    start: tuple[float, float],
+    end: tuple[float, float],
+    half_width: float,
+    height: float,
 ) -> Primitive:
     """A flat-bottomed bar with round ends along a segment; all in m."""
 
@@ -140,9 +150,13 @@ def _distance(
 ) -> Doubles:
     """Distance of points from a segment."""
     along = np.array(end) - np.array(start)
-    share = ((x - start[0]) * along[0] + (y - start[1]) * along[1]) / float(along @ along)
+    share = ((x - start[0]) * along[0] + (y - start[1]) * along[1]) / float(
+        along @ along
+    )
     share = np.clip(share, 0.0, 1.0)
-    away: Doubles = np.hypot(x - start[0] - share * along[0], y - start[1] - share * along[1])
+    away: Doubles = np.hypot(
+        x - start[0] - share * along[0], y - start[1] - share * along[1]
+    )
     return away
 
 
@@ -208,7 +222,9 @@ def wooden_cube(taxel_radius_m: float) -> Body:
     mass = 0.5167
     half = side / 2
     sole = build_sole(
-        [slab(-half, half, -half, half, 0.0)], (-half, half, -half, half), taxel_radius_m
+        [slab(-half, half, -half, half, 0.0)],
+        (-half, half, -half, half),
+        taxel_radius_m,
     )
     return Body(sole, mass, mass * side**2 / 6)
 
@@ -220,7 +236,9 @@ def metal_peg(taxel_radius_m: float) -> Body:
     length = 0.06
     density = 2700.0
     mass = density * math.pi * radius**2 * length
-    sole = build_sole([disc(radius, 0.0)], (-radius, radius, -radius, radius), taxel_radius_m)
+    sole = build_sole(
+        [disc(radius, 0.0)], (-radius, radius, -radius, radius), taxel_radius_m
+    )
     return Body(sole, mass, mass * (3 * radius**2 + length**2) / 12)
 
 

@@ -84,7 +84,9 @@ class RigidBody:
         q, v = self.step(bed, q, v, dt_s / 2, splits - 1)
         return self.step(bed, q, v, dt_s / 2, splits - 1)
 
-    def _solve_stage(self, bed: Bed, q: Doubles, v: Doubles, h: float) -> tuple[Doubles, Indices]:
+    def _solve_stage(
+        self, bed: Bed, q: Doubles, v: Doubles, h: float
+    ) -> tuple[Doubles, Indices]:
         """Return the w of I (w - v) = h (J^T f(q + h w, w) + l), and the indices of loaded cells.
 
         The cells that may press are found first, from the free motion of the body. On them f is
@@ -107,7 +109,9 @@ class RigidBody:
             """The convex function whose gradient is the residual of the stage equation."""
             push = np.maximum(-(spring + slope * (jacobian @ w)), 0.0)
             off = w - free
-            return float(0.5 * (self.inertia * off) @ off + 0.5 * h * (push / slope) @ push)
+            return float(
+                0.5 * (self.inertia * off) @ off + 0.5 * h * (push / slope) @ push
+            )
 
         w = v
         loaded = spring + slope * (jacobian @ w) < 0.0
@@ -116,7 +120,9 @@ class RigidBody:
             matrix = jacobian.T @ (jacobian * (h_loaded * slope)[:, None])
             matrix.flat[:: len(w) + 1] += self.inertia
             right = self.inertia * free - (h_loaded * spring) @ jacobian
-            solution = right / matrix[0] if len(w) == 1 else np.linalg.solve(matrix, right)
+            solution = (
+                right / matrix[0] if len(w) == 1 else np.linalg.solve(matrix, right)
+            )
 
             target: Doubles = np.asarray(solution, dtype=np.float64)
             reached = spring + slope * (jacobian @ target) < 0.0

@@ -30,7 +30,9 @@ from .terrain import Surface
 
 TAXEL_RADIUS_M = 0.0025
 SKIN = Surface(pitch_m=2 * TAXEL_RADIUS_M, stiffness=122.24, damping=0.4)
-SKIN_ON_GROUND = replace(SKIN, ground_drop_m=0.010, ground_stiffness=1.0e4, ground_damping=100.0)
+SKIN_ON_GROUND = replace(
+    SKIN, ground_drop_m=0.010, ground_stiffness=1.0e4, ground_damping=100.0
+)
 DRAG_M_S = 0.05
 """Speed of the wrench when dragged, in m/s. Source: paper, section II-B."""
 
@@ -43,7 +45,9 @@ def lift_box_40() -> Scene:
     """
     body = wooden_cube(TAXEL_RADIUS_M)
     motion = Lift(at_s=0.685)
-    return Scene(name="lift_box_40", n_steps=700, body=body, surface=SKIN, motion=motion)
+    return Scene(
+        name="lift_box_40", n_steps=700, body=body, surface=SKIN, motion=motion
+    )
 
 
 def lift_box_64() -> Scene:
@@ -126,14 +130,23 @@ def path_40() -> Scene:
     )
 
 
-_ALL = (lift_box_40, lift_wrench_40, drag_wrench_40, path_40, lift_box_64, drag_wrench_64)
+_ALL = (
+    lift_box_40,
+    lift_wrench_40,
+    drag_wrench_40,
+    path_40,
+    lift_box_64,
+    drag_wrench_64,
+)
 SCENES: dict[str, Callable[[], Scene]] = {make.__name__: make for make in _ALL}
 
 
 def check_scene(name: str, others: Iterable[str] = ()) -> None:
     """Raise SourceError if there is no scene of a name; `others` are known elsewhere."""
     if name not in SCENES:
-        raise SourceError(f"no scene is called {name!r}{did_you_mean(name, (*SCENES, *others))}")
+        raise SourceError(
+            f"no scene is called {name!r}{did_you_mean(name, (*SCENES, *others))}"
+        )
 
 
 def open_scene(name: str, seed: int) -> SceneSource:

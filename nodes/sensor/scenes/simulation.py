@@ -63,7 +63,11 @@ class RandomPath:
     speed_m_s: float = 0.05
 
     def draw(
-        self, rng: np.random.Generator, half_width_m: float, half_height_m: float, end_s: float
+        self,
+        rng: np.random.Generator,
+        half_width_m: float,
+        half_height_m: float,
+        end_s: float,
     ) -> tuple[Place, PolygonalCourse]:
         """Draw the place of the drop, in m from the middle of the skin, and a course from there
         until `end_s`. Places are uniform in a rectangle about that middle.
@@ -97,7 +101,10 @@ class PolygonalCourse:
 
     def place(self, t_s: float) -> Place:
         """Return the offset (x, y) in m from the place of the drop."""
-        x, y = (np.interp(t_s, self.times_s, along) for along in zip(*self.offsets_m, strict=True))
+        x, y = (
+            np.interp(t_s, self.times_s, along)
+            for along in zip(*self.offsets_m, strict=True)
+        )
         return (float(x), float(y))
 
 
@@ -115,10 +122,17 @@ class Scene:
     dt_ns: int = 1_000_000  # from one frame to the next
     body: Body
     surface: Surface
-    drop_height_m: float = 0.5  # above the skin, from which the body falls at the first frame
+    drop_height_m: float = (
+        0.5  # above the skin, from which the body falls at the first frame
+    )
     motion: Lift | Drag | RandomPath
-    dof: tuple[Literal["z", "pitch", "roll"], ...] = ("z",)  # free coordinates, as of `Terrain`
-    place_m: Place = (0.0, 0.0)  # of the drop, from the middle; `RandomPath` draws its own
+    dof: tuple[Literal["z", "pitch", "roll"], ...] = (
+        "z",
+    )  # free coordinates, as of `Terrain`
+    place_m: Place = (
+        0.0,
+        0.0,
+    )  # of the drop, from the middle; `RandomPath` draws its own
     yaw_rad: float = 0.0  # rotation of the body about the vertical
     f_max_n: float = PAPER_F_MAX_N
 
@@ -135,7 +149,9 @@ class State:
     def write_forces(self, out: Floats) -> None:
         """Write the taxels' forces, in N, to out, float32 of shape (n_rows, n_cols)."""
         out.fill(0.0)
-        out.reshape(-1)[self.taxels] = self.bed.forces(self.q, self.v)[: self.taxels.size]
+        out.reshape(-1)[self.taxels] = self.bed.forces(self.q, self.v)[
+            : self.taxels.size
+        ]
 
 
 class SceneSource(Source):
@@ -150,7 +166,9 @@ class SceneSource(Source):
         self.scene = scene
         self.seed = seed
         self.name = scene.name
-        self.skin = Skin(*scene.shape, f_max=scene.f_max_n, pitch_m=scene.surface.pitch_m)
+        self.skin = Skin(
+            *scene.shape, f_max=scene.f_max_n, pitch_m=scene.surface.pitch_m
+        )
         self.rate_hz: float | None = 1e9 / scene.dt_ns
         self.n_frames: int | None = scene.n_steps
 
@@ -190,7 +208,9 @@ class SceneSource(Source):
         scene = self.scene
         n_dof = len(self.scene.dof)
         place, course = self._course()
-        terrain = Terrain(scene.surface, scene.shape, scene.body.sole, scene.yaw_rad, scene.dof)
+        terrain = Terrain(
+            scene.surface, scene.shape, scene.body.sole, scene.yaw_rad, scene.dof
+        )
         inertia = np.full(n_dof, scene.body.inertia_kg_m2)
         inertia[0] = scene.body.mass_kg
         load = np.zeros(n_dof)

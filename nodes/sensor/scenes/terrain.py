@@ -25,7 +25,9 @@ class Surface:
     pitch_m: float  # distance of neighbouring taxels, and of the ground's cells
     stiffness: float  # k in N/m of a taxel
     damping: float  # c in N s/m of a taxel
-    ground_drop_m: float | None = None  # depth below the tops of the taxels; None: no ground
+    ground_drop_m: float | None = (
+        None  # depth below the tops of the taxels; None: no ground
+    )
     ground_stiffness: float = 1.0e4  # the same of a cell of the ground
     ground_damping: float = 100.0
 
@@ -104,8 +106,12 @@ class Terrain:
         col, row = (index.ravel() for index in np.meshgrid(cols, rows))
 
         # Places of their centres, and which of them the body can cover.
-        skin_x = np.asarray((col - (n_cols - 1) / 2) * surface.pitch_m, dtype=np.float64)
-        skin_y = np.asarray((row - (n_rows - 1) / 2) * surface.pitch_m, dtype=np.float64)
+        skin_x = np.asarray(
+            (col - (n_cols - 1) / 2) * surface.pitch_m, dtype=np.float64
+        )
+        skin_y = np.asarray(
+            (row - (n_rows - 1) / 2) * surface.pitch_m, dtype=np.float64
+        )
         body_x, body_y = self._to_body(skin_x, skin_y)
         x, y = self._to_body(*place)
         near = self._vicinity.sample(body_x - x, body_y - y) > 0.0
@@ -121,7 +127,9 @@ class Terrain:
         self._taxels = (row * n_cols + col)[skin]
         self._body_x = body_x[order]
         self._body_y = body_y[order]
-        self._stiffness = np.repeat([surface.stiffness, surface.ground_stiffness], sizes)
+        self._stiffness = np.repeat(
+            [surface.stiffness, surface.ground_stiffness], sizes
+        )
         self._damping = np.repeat([surface.damping, surface.ground_damping], sizes)
         self._depth = np.repeat([0.0, surface.ground_drop_m or 0.0], sizes)
         self._searched_at = place

@@ -44,7 +44,9 @@ class Tiling:
     """Times of the presses of a scene."""
 
     body: Callable[[tuple[int, int], float], Body]
-    active: float  # part of the patches that are pressed in a period; all others are idle
+    active: (
+        float  # part of the patches that are pressed in a period; all others are idle
+    )
     period_s: float
     pressed_s: float
     moves: bool = False  # other patches are pressed in each period
@@ -81,7 +83,9 @@ class TiledScene(Source):
         sigmas: tuple[float, float] | None = None,
     ) -> None:
         if skin.pitch_m is None or skin.unit != "N":
-            raise SourceError(f"scene {name}: the skin's pitch and forces in N have to be known")
+            raise SourceError(
+                f"scene {name}: the skin's pitch and forces in N have to be known"
+            )
         self.name = name
         self.skin = skin
         self.sigmas = sigmas

@@ -100,7 +100,9 @@ class BagStorage(Storage):
                 self.losses.append(f"behind byte {place} of {size} ({fault})")
                 yield from self._rest(file, place, size, topics)
 
-    def _messages(self, record: Record, place: int, topics: Collection[str]) -> Iterator[Recorded]:
+    def _messages(
+        self, record: Record, place: int, topics: Collection[str]
+    ) -> Iterator[Recorded]:
         """The messages of a record; a damaged chunk costs itself."""
         try:
             if record.opcode != OP_CHUNK:
@@ -163,7 +165,9 @@ def _records(file: IO[bytes], place: int, size: int) -> Iterator[Record]:
         (n_bytes,) = LENGTH.unpack(raw)
         stop = file.tell() + n_bytes
         if stop > size:
-            raise Break("the file ends in the middle of a record, or its length is wrong")
+            raise Break(
+                "the file ends in the middle of a record, or its length is wrong"
+            )
         if n_bytes > MAX_CHUNK_BYTES:
             raise Break(f"a record of {n_bytes} bytes, at most {MAX_CHUNK_BYTES}")
         yield Record(head, file.read(n_bytes), stop)

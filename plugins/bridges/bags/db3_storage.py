@@ -28,7 +28,9 @@ class Db3Storage(Storage):
     def read_index(self) -> None:
         with self._opened() as base:
             texts = self._definitions(base)
-            rows = base.execute("SELECT id, name, type, serialization_format FROM topics")
+            rows = base.execute(
+                "SELECT id, name, type, serialization_format FROM topics"
+            )
             for number, name, kind, encoding in rows:
                 form, text = texts.get(str(kind), ("msg", ""))
                 described = Topic(str(encoding))
@@ -40,12 +42,16 @@ class Db3Storage(Storage):
         self.losses.clear()
         if not self.connections:
             self.read_index()
-        numbers = [number for number, (name, _) in self.connections.items() if name in topics]
+        numbers = [
+            number for number, (name, _) in self.connections.items() if name in topics
+        ]
         marks = ",".join("?" * len(numbers))
 
         # As they were written: an index may be behind the place where a file is cut off.
         columns = "topic_id, timestamp, data"
-        query = f"SELECT {columns} FROM messages NOT INDEXED WHERE topic_id IN ({marks})"
+        query = (
+            f"SELECT {columns} FROM messages NOT INDEXED WHERE topic_id IN ({marks})"
+        )
         n = 0
         with self._opened() as base:
             try:
@@ -70,7 +76,11 @@ class Db3Storage(Storage):
             return {}
         columns = "topic_type, encoding, encoded_message_definition"
         rows = base.execute(f"SELECT {columns} FROM message_definitions")
-        return {str(kind): (FORMS[form], str(text)) for kind, form, text in rows if form in FORMS}
+        return {
+            str(kind): (FORMS[form], str(text))
+            for kind, form, text in rows
+            if form in FORMS
+        }
 
     @contextmanager
     def _opened(self) -> Iterator[sqlite3.Connection]:

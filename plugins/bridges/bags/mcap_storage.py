@@ -52,7 +52,9 @@ class McapStorage(Storage):
         with reading(self.path) as file:
             size = file.seek(0, 2)
             try:
-                for record in records(file, self._summary, size - len(MAGIC) - FOOTER.size):
+                for record in records(
+                    file, self._summary, size - len(MAGIC) - FOOTER.size
+                ):
                     self._note(record)
             except Break:
                 self.connections.clear()
@@ -69,7 +71,9 @@ class McapStorage(Storage):
                         return
                     yield from self._messages(record, topics)
             except Break as fault:
-                self.losses.append(f"behind byte {fault.offset} of {size} ({fault.why})")
+                self.losses.append(
+                    f"behind byte {fault.offset} of {size} ({fault.why})"
+                )
                 yield from self._rest(file, place, size, topics)
 
     def _messages(self, record: Record, topics: Collection[str]) -> Iterator[Recorded]:
@@ -79,7 +83,9 @@ class McapStorage(Storage):
                 yield from self._message(record, topics)
                 return
             for opcode, content in chunk_records(open_chunk(record), record.offset):
-                yield from self._message(Record(opcode, record.offset, bytes(content)), topics)
+                yield from self._message(
+                    Record(opcode, record.offset, bytes(content)), topics
+                )
         except Break as fault:
             self.losses.append(f"in the record at byte {fault.offset} ({fault.why})")
 

@@ -32,7 +32,15 @@ def metadata_of(folder: Path) -> Metadata | None:
             return None
         content = YAML(typ="safe").load(path.read_text("utf-8"))
         return _parsed(content["rosbag2_bagfile_information"])
-    except (OSError, ValueError, TypeError, KeyError, AttributeError, RecursionError, YAMLError):
+    except (
+        OSError,
+        ValueError,
+        TypeError,
+        KeyError,
+        AttributeError,
+        RecursionError,
+        YAMLError,
+    ):
         return None
 
 

@@ -147,13 +147,18 @@ def decompressed(path: str, work: Workspace) -> str:
         free_bytes = work.free_bytes
         decompressor = zstandard.ZstdDecompressor(max_window_size=MAX_WINDOW_BYTES)
         try:
-            with Path(copy).open("wb") as out, decompressor.stream_reader(file) as stream:
+            with (
+                Path(copy).open("wb") as out,
+                decompressor.stream_reader(file) as stream,
+            ):
                 part = stream.read(COPY_BYTES)
                 while part:
                     room_bytes -= len(part)
                     free_bytes -= len(part)
                     if min(room_bytes, free_bytes) < 0:
-                        raise SourceError(f"{path}: is far larger than its file; {CONVERT}")
+                        raise SourceError(
+                            f"{path}: is far larger than its file; {CONVERT}"
+                        )
                     out.write(part)
                     part = stream.read(COPY_BYTES)
         except zstandard.ZstdError as error:
@@ -224,4 +229,6 @@ def plain_message(data: bytes) -> bytes:
         with decompressor.stream_reader(data) as stream:
             return bytes(stream.read(MAX_MESSAGE_BYTES))
     except zstandard.ZstdError as error:
-        raise SourceError(f"a message cannot be decompressed ({error}); {CONVERT}") from error
+        raise SourceError(
+            f"a message cannot be decompressed ({error}); {CONVERT}"
+        ) from error

@@ -8,10 +8,21 @@ LEROBOT = Export(
     f"{__name__}.lerobot:export_lerobot",
     {
         "fps": ("N", "rows a second (default: 30)"),
-        "contacts": ("K", "contacts of a patch in the state, the strongest (default: 4)"),
+        "contacts": (
+            "K",
+            "contacts of a patch in the state, the strongest (default: 4)",
+        ),
         "window": ("K", "tactile frames a row (default: as many as come meanwhile)"),
-        "into": ("DATASET", "join the frames into the episodes of this dataset, a copy", str),
-        "offset": ("S", "seconds from the first frame to the first row, or one an episode", str),
+        "into": (
+            "DATASET",
+            "join the frames into the episodes of this dataset, a copy",
+            str,
+        ),
+        "offset": (
+            "S",
+            "seconds from the first frame to the first row, or one an episode",
+            str,
+        ),
     },
     several=True,
 )

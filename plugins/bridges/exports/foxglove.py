@@ -43,7 +43,9 @@ Schema = str | Mapping[str, Any]
 """Schema of a channel: a name of Foxglove's, "json", or a JSON Schema."""
 
 
-def export_foxglove(bag: BagReader, out: Path, topics: Iterable[str] | None = None) -> list[Path]:
+def export_foxglove(
+    bag: BagReader, out: Path, topics: Iterable[str] | None = None
+) -> list[Path]:
     """Write one .mcap with the schemas of Foxglove; its path.
 
     It has the `contents` of all messages, skin, calibration, Phi and solver as JSON on /PATCH/skin,
@@ -74,7 +76,9 @@ def export_foxglove(bag: BagReader, out: Path, topics: Iterable[str] | None = No
                 writer.write_metadata("counts", {JSON_KEY: json.dumps(bag.counts)})
 
             channels = Channels(context)
-            for message, log_time_ns in streams(bag, with_states(bag, frame_topics), "export"):
+            for message, log_time_ns in streams(
+                bag, with_states(bag, frame_topics), "export"
+            ):
                 if isinstance(message, STATES):
                     channel = channels.of(message.topic, "json")
                     channel.log(state_json(message), log_time=log_time_ns)
@@ -138,7 +142,11 @@ def contents(
             yield f"{topic}/sd", "RawImage", lambda: raw_image(message, sd)
         yield f"{topic}/grid", "Grid", lambda: grid(message, layers, skin)
         if skin is not None and skin.points is not None:
-            yield f"{topic}/points", "PointCloud", lambda: point_cloud(message, layers, skin)
+            yield (
+                f"{topic}/points",
+                "PointCloud",
+                lambda: point_cloud(message, layers, skin),
+            )
     if "forces" in values:
         further = dict(more or {})
         schema = figures_schema(cls, further)
@@ -148,7 +156,9 @@ def contents(
 def figure_names(cls: type[Message]) -> list[str]:
     """Names of the numbers of a message class; of frames the sum first."""
     fields = kinds_alone(cls)
-    names = [name for name, kind in fields.items() if isinstance(kind, Real | Integer | Flag)]
+    names = [
+        name for name, kind in fields.items() if isinstance(kind, Real | Integer | Flag)
+    ]
     total = ["total_force"] if "forces" in fields else []
     return total + [name for name in names if name not in ("run_id", "seq")]
 
@@ -254,10 +264,16 @@ def contact_scene(message: Contacts, skin: SkinState) -> Any:
             color=colour,
         )
         sphere = primitives.SpherePrimitive(
-            pose=_pose(*centre), size=primitives.Vector3(x=d, y=d, z=d / 4), color=colour
+            pose=_pose(*centre),
+            size=primitives.Vector3(x=d, y=d, z=d / 4),
+            color=colour,
         )
         text = primitives.TextPrimitive(
-            pose=_pose(*tail), billboard=True, font_size=d, color=colour, text=shape.text
+            pose=_pose(*tail),
+            billboard=True,
+            font_size=d,
+            color=colour,
+            text=shape.text,
         )
         entities.append(
             primitives.SceneEntity(
@@ -302,7 +318,9 @@ def _fields(names: Iterable[str]) -> list[Any]:
     fields = []
     for k, name in enumerate(names):
         kind = types.Uint32 if name == ROW else types.Float32
-        fields.append(PackedElementField(name=name, offset=FLOAT32_BYTES * k, type=kind))
+        fields.append(
+            PackedElementField(name=name, offset=FLOAT32_BYTES * k, type=kind)
+        )
     return fields
 
 

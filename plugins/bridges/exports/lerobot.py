@@ -15,7 +15,14 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from sparseskin.messages import Contacts, Measurements, Message, Reconstruction, SkinState, Taxels
+from sparseskin.messages import (
+    Contacts,
+    Measurements,
+    Message,
+    Reconstruction,
+    SkinState,
+    Taxels,
+)
 from sparseskin.messages.topics import split_topic
 from sparseskin.nodes.files import OutputError, whole_folder
 from sparseskin.nodes.numerics.arrays import Floats
@@ -64,7 +71,9 @@ class _Stream:
     @property
     def period_ns(self) -> float:
         """Mean time from a frame to the next."""
-        return float(self.times_ns[-1] - self.times_ns[0]) / max(1, len(self.times_ns) - 1)
+        return float(self.times_ns[-1] - self.times_ns[0]) / max(
+            1, len(self.times_ns) - 1
+        )
 
     def newest(self, times_ns: Times, back: int = 0) -> npt.NDArray[np.intp]:
         """Number of the frame `back` before the last one at or before each time, at least 0."""
@@ -129,7 +138,9 @@ class _Episode:
             )
         if end_ns + slack_ns < last_ns:
             unused_s = (last_ns - end_ns) / 1e9
-            print(f"{self.path}: its last {unused_s:.3f} s have no rows", file=sys.stderr)
+            print(
+                f"{self.path}: its last {unused_s:.3f} s have no rows", file=sys.stderr
+            )
 
     def features(self, rows_ns: Times | None) -> dict[str, Feature]:
         """Those of maps and contacts; of a dataset that has no other, with rows at these times,
@@ -221,7 +232,9 @@ def export_lerobot(
         rate = existing.fps
         n = len(existing.times_ns)
         if n != len(bags):
-            raise BagError(f"{into}: has {n} episodes; state as many recordings, not {len(bags)}")
+            raise BagError(
+                f"{into}: has {n} episodes; state as many recordings, not {len(bags)}"
+            )
 
     with whole_folder(out):
         with tempfile.TemporaryDirectory(dir=out, prefix=".frames") as name:
@@ -230,8 +243,14 @@ def export_lerobot(
             episodes = []
             for bag, offset_ns in zip(bags, offsets_ns, strict=True):
                 map_topics, contact_topics = _topics_of(bag, topics)
-                maps = [_read_map(bag, topic, folder, rate, window, sizes) for topic in map_topics]
-                states = [_read_contacts(bag, topic, folder, contacts) for topic in contact_topics]
+                maps = [
+                    _read_map(bag, topic, folder, rate, window, sizes)
+                    for topic in map_topics
+                ]
+                states = [
+                    _read_contacts(bag, topic, folder, contacts)
+                    for topic in contact_topics
+                ]
                 episodes.append(_episode(bag.path, maps, states, offset_ns))
 
             dataset = existing
@@ -248,7 +267,9 @@ def export_lerobot(
         return sorted(path for path in out.rglob("*") if path.is_file())
 
 
-def _check_shapes(added: Sequence[dict[str, Feature]], path: Path, path_of_first: Path) -> None:
+def _check_shapes(
+    added: Sequence[dict[str, Feature]], path: Path, path_of_first: Path
+) -> None:
     """Raise BagError if the features of the last episode have other shapes than the first one's."""
     expected = {key: feature.shape for key, feature in added[0].items()}
     shapes = {key: feature.shape for key, feature in added[-1].items()}
@@ -266,7 +287,9 @@ def _check_options(numbers: dict[str, int | None], out: Path, into: str | None) 
     if into is not None and numbers["fps"] is not None:
         raise BagError("--fps: is that of the dataset of --into")
     if into is not None and out.resolve().is_relative_to(Path(into).resolve()):
-        raise OutputError(f"{out}: is within the dataset of --into; state another --out")
+        raise OutputError(
+            f"{out}: is within the dataset of --into; state another --out"
+        )
 
 
 def _offsets_ns(text: str, n: int) -> list[int]:
@@ -275,23 +298,33 @@ def _offsets_ns(text: str, n: int) -> list[int]:
         offsets_s = [float(word) for word in text.split(",")]
         are_allowed = all(abs(seconds) <= MAX_OFFSET_S for seconds in offsets_s)
         if are_allowed and len(offsets_s) in (1, n):
-            return [round(1e9 * seconds) for seconds in offsets_s] * (n // len(offsets_s))
+            return [round(1e9 * seconds) for seconds in offsets_s] * (
+                n // len(offsets_s)
+            )
     raise BagError(
         f"--offset: {text[:40]!r}; allowed is a number of seconds up to {MAX_OFFSET_S}, or one for "
         f"each of {n} recordings, separated by commas"
     )
 
 
-def _topics_of(bag: BagReader, topics: Iterable[str] | None) -> tuple[list[str], list[str]]:
+def _topics_of(
+    bag: BagReader, topics: Iterable[str] | None
+) -> tuple[list[str], list[str]]:
     """Topics requested; or else the reconstruction of each patch, or its taxels, and contacts."""
     topics_found = frame_topics(bag, topics, (*FRAME_SCHEMAS, Contacts.schema))
-    contact_topics = [topic for topic in topics_found if split_topic(topic)[1] == Contacts.schema]
+    contact_topics = [
+        topic for topic in topics_found if split_topic(topic)[1] == Contacts.schema
+    ]
     if topics is not None:
         for topic in topics_found:
             _, schema = split_topic(topic)
             if schema == Measurements.schema:
-                raise BagError(f"{topic}: measurements are no map; allowed are topics of forces")
-        return [topic for topic in topics_found if topic not in contact_topics], contact_topics
+                raise BagError(
+                    f"{topic}: measurements are no map; allowed are topics of forces"
+                )
+        return [
+            topic for topic in topics_found if topic not in contact_topics
+        ], contact_topics
 
     # A reconstruction goes before the taxels of its patch.
     map_of_patch: dict[str, str] = {}
@@ -306,7 +339,10 @@ def _topics_of(bag: BagReader, topics: Iterable[str] | None) -> tuple[list[str],
 
 
 def _read(
-    bag: BagReader, topic: str, folder: Path, values_in: Callable[[Message], Floats | None]
+    bag: BagReader,
+    topic: str,
+    folder: Path,
+    values_in: Callable[[Message], Floats | None],
 ) -> tuple[tuple[int, ...], Times, Floats]:
     """Shape of the values of a message, stamps, and all values, each flat."""
     stamps: list[int] = []
@@ -369,7 +405,9 @@ def _read_contacts(bag: BagReader, topic: str, folder: Path, k: int) -> _Stream:
     return _Stream(topic, STATE, 1, (k,), skin, stamps_ns, values)
 
 
-def _episode(path: Path, maps: list[_Stream], contacts: list[_Stream], offset_ns: int) -> _Episode:
+def _episode(
+    path: Path, maps: list[_Stream], contacts: list[_Stream], offset_ns: int
+) -> _Episode:
     """An episode with times after its begin."""
     first_ns, last_ns = _Episode(path, 0, maps, contacts).span_ns
     if last_ns < first_ns:
@@ -401,7 +439,13 @@ def _readme(episodes: Sequence[_Episode]) -> str:
         about_skin: tuple[object, ...] = ("-", "-", "-")
         if skin is not None:
             about_skin = (skin.unit, f"0..{skin.f_max:g}", skin.pitch_m or "-")
-        cells = (stream.key, stream.size, f"{n_rows} x {n_cols}", *about_skin, stream.topic)
+        cells = (
+            stream.key,
+            stream.size,
+            f"{n_rows} x {n_cols}",
+            *about_skin,
+            stream.topic,
+        )
         lines.append(f"| {' | '.join(map(str, cells))} |")
     if contacts:
         contact_texts = []

@@ -95,7 +95,9 @@ class Dataset:
             self._stats = json.loads((root / STATS).read_text())
             version = self._info["codebase_version"]
             if version != VERSION:
-                raise ValueError(f"codebase version {version!r:.20}; allowed is {VERSION!r}")
+                raise ValueError(
+                    f"codebase version {version!r:.20}; allowed is {VERSION!r}"
+                )
             self.fps = self._info["fps"]
             self._features = {**self._info["features"]}
             if not 0 < self.fps <= MAX_FPS:
@@ -103,11 +105,15 @@ class Dataset:
 
             self._data = sorted(root.glob("data/*/*.parquet"))
             names = ["episode_index", "timestamp"]
-            table = pa.concat_tables(pq.read_table(path, columns=names) for path in self._data)
+            table = pa.concat_tables(
+                pq.read_table(path, columns=names) for path in self._data
+            )
             episodes = table["episode_index"].to_numpy()
             seconds = table["timestamp"].to_numpy()
             episodes_found, counts = np.unique(episodes, return_counts=True)
-            if not np.array_equal(episodes_found, np.arange(self._info["total_episodes"])):
+            if not np.array_equal(
+                episodes_found, np.arange(self._info["total_episodes"])
+            ):
                 raise ValueError(
                     f"rows of {len(episodes_found)} episodes, not of those that it states"
                 )
@@ -115,7 +121,9 @@ class Dataset:
             times_ns = self._in_ns(seconds[np.argsort(episodes, kind="stable")])
             self.times_ns = np.split(times_ns, np.cumsum(counts)[:-1])
 
-    def join(self, out: Path, added: Sequence[Mapping[str, Feature]], about: str) -> None:
+    def join(
+        self, out: Path, added: Sequence[Mapping[str, Feature]], about: str
+    ) -> None:
         """Write the dataset and features of each episode into the folder `out`. States are appended
         to those of the dataset, `about` to its README. Files that stay as they are become hard
         links where possible.
@@ -129,7 +137,9 @@ class Dataset:
             self._link_files(out)
             stats_of_episodes = []
             for features, times_ns in zip(added, self.times_ns, strict=True):
-                stats = {key: feature.stats(times_ns) for key, feature in features.items()}
+                stats = {
+                    key: feature.stats(times_ns) for key, feature in features.items()
+                }
                 stats_of_episodes.append(stats)
             self._join_rows(out, added)
             self._join_episodes(out, stats_of_episodes)
@@ -149,11 +159,15 @@ class Dataset:
 
     def _link_files(self, out: Path) -> None:
         """Link the files that stay as they are into the folder `out`."""
-        replaced = {self.root / name for name in (INFO, STATS, README, "data", "meta/episodes")}
+        replaced = {
+            self.root / name for name in (INFO, STATS, README, "data", "meta/episodes")
+        }
         shutil.copytree(
             self.root,
             out,
-            ignore=lambda folder, names: [n for n in names if Path(folder, n) in replaced],
+            ignore=lambda folder, names: [
+                n for n in names if Path(folder, n) in replaced
+            ],
             copy_function=_link,
             dirs_exist_ok=True,
         )
@@ -187,7 +201,9 @@ class Dataset:
         import pyarrow as pa
         import pyarrow.parquet as pq
 
-        n_columns = sum(width for feature in added[0].values() for width, _ in feature.parts)
+        n_columns = sum(
+            width for feature in added[0].values() for width, _ in feature.parts
+        )
         block = max(1, BLOCK_BYTES // (4 * n_columns))
         for path in self._data:
             writer = None
@@ -216,12 +232,16 @@ class Dataset:
 
                 if writer is None:
                     target = _make(out / path.relative_to(self.root))
-                    writer = pq.ParquetWriter(target, table.schema, compression="snappy")
+                    writer = pq.ParquetWriter(
+                        target, table.schema, compression="snappy"
+                    )
                 writer.write_table(table)
             if writer is not None:
                 writer.close()
 
-    def _join_episodes(self, out: Path, stats_of_episodes: Sequence[Mapping[str, Stats]]) -> None:
+    def _join_episodes(
+        self, out: Path, stats_of_episodes: Sequence[Mapping[str, Stats]]
+    ) -> None:
         import pyarrow.parquet as pq
 
         for path in sorted(self.root.glob("meta/episodes/*/*.parquet")):
@@ -230,11 +250,15 @@ class Dataset:
             numbers = table["episode_index"].to_pylist()
             for key in stats_of_episodes[0]:
                 prefix = f"stats/{key}/"
-                stat_columns = [name for name in table.column_names if name.startswith(prefix)]
+                stat_columns = [
+                    name for name in table.column_names if name.startswith(prefix)
+                ]
                 existing_rows = table.select(stat_columns).to_pylist()
                 rows = []
                 for k, row in zip(numbers, existing_rows, strict=True):
-                    existing = {name.removeprefix(prefix): value for name, value in row.items()}
+                    existing = {
+                        name.removeprefix(prefix): value for name, value in row.items()
+                    }
                     rows.append(_appended(existing, stats_of_episodes[k][key]))
 
                 table = table.drop_columns(stat_columns)
@@ -248,7 +272,14 @@ class Dataset:
         """Turn errors of reading and of contents into a BagError."""
         import pyarrow as pa
 
-        kinds = (OSError, LookupError, TypeError, ValueError, AttributeError, pa.ArrowException)
+        kinds = (
+            OSError,
+            LookupError,
+            TypeError,
+            ValueError,
+            AttributeError,
+            pa.ArrowException,
+        )
         try:
             yield
         except kinds as error:
@@ -275,7 +306,9 @@ def make_dataset(root: Path, lengths: Sequence[int], fps: int) -> Dataset:
         }
         places = {"chunk_index": k // CHUNK, "file_index": k % CHUNK}
         pq.write_table(pa.table(columns), _make(root / DATA_PATH.format(**places)))
-        stats.append({name: _stats(values[:, None]) for name, values in columns.items()})
+        stats.append(
+            {name: _stats(values[:, None]) for name, values in columns.items()}
+        )
 
         episode = {
             "episode_index": k,
@@ -291,7 +324,9 @@ def make_dataset(root: Path, lengths: Sequence[int], fps: int) -> Dataset:
         for name, values in columns.items()
     }
     info = _info_of(lengths, fps, features)
-    pooled = {key: _pooled([of_episode[key] for of_episode in stats]) for key in features}
+    pooled = {
+        key: _pooled([of_episode[key] for of_episode in stats]) for key in features
+    }
     table = pa.Table.from_pylist(episodes)
     pq.write_table(table, _make(root / "meta/episodes/chunk-000/file-000.parquet"))
     (root / INFO).write_text(json.dumps(info))
@@ -301,7 +336,9 @@ def make_dataset(root: Path, lengths: Sequence[int], fps: int) -> Dataset:
     return Dataset(root)
 
 
-def _places_and_stats(places: Mapping[str, int], stats: Mapping[str, Stats]) -> dict[str, Any]:
+def _places_and_stats(
+    places: Mapping[str, int], stats: Mapping[str, Stats]
+) -> dict[str, Any]:
     """Columns of an episode that state its files and its statistics."""
     columns: dict[str, Any] = {}
     for name, place in places.items():
@@ -314,7 +351,9 @@ def _places_and_stats(places: Mapping[str, int], stats: Mapping[str, Stats]) -> 
     return columns
 
 
-def _info_of(lengths: Sequence[int], fps: int, features: Mapping[str, Any]) -> dict[str, Any]:
+def _info_of(
+    lengths: Sequence[int], fps: int, features: Mapping[str, Any]
+) -> dict[str, Any]:
     """Content of info.json of a dataset of episodes of so many rows."""
     return {
         "codebase_version": VERSION,
@@ -380,7 +419,10 @@ def _pooled(parts: Sequence[Stats]) -> Stats:
     stacked = {name: np.stack([part[name] for part in parts]) for name in parts[0]}
     # Each episode weighs as many rows as it has.
     n = stacked["count"][:, 0]
-    means = {name: np.average(stacked[name], axis=0, weights=n) for name in ("mean", *QUANTILES)}
+    means = {
+        name: np.average(stacked[name], axis=0, weights=n)
+        for name in ("mean", *QUANTILES)
+    }
     # Variance of all rows: within the episodes, and between their means.
     squares = stacked["std"] ** 2 + (stacked["mean"] - means["mean"]) ** 2
     variance = np.average(squares, axis=0, weights=n)
@@ -397,7 +439,9 @@ def _appended(existing: Mapping[str, Any] | None, new: Stats) -> Stats:
     """Statistics of the numbers of a feature and of those that are appended to it."""
     if not existing:
         return new
-    appended = {name: np.append(existing[name], new[name]) for name in new if name in existing}
+    appended = {
+        name: np.append(existing[name], new[name]) for name in new if name in existing
+    }
     return appended | {"count": new["count"]}
 
 

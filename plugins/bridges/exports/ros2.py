@@ -39,7 +39,9 @@ FLOAT = "std_msgs/msg/Float32"
 STRING = "std_msgs/msg/String"
 
 
-def export_ros2(bag: BagReader, out: Path, topics: Iterable[str] | None = None) -> list[Path]:
+def export_ros2(
+    bag: BagReader, out: Path, topics: Iterable[str] | None = None
+) -> list[Path]:
     """Write a folder `out` with NAME.mcap and metadata.yaml (rosbag2, version 8); their paths.
 
     A frame becomes a sensor_msgs/msg/Image, 32FC1, measurements 1 x M, with its stamp and the
@@ -62,9 +64,13 @@ def export_ros2(bag: BagReader, out: Path, topics: Iterable[str] | None = None) 
         out.rmdir()  # the writer makes it
         with Writer(out, version=8, storage_plugin=StoragePlugin.MCAP) as writer:
             for message, log_time_ns in streams(bag, read_topics, "export"):
-                for topic, kind, data in _messages(message, skins[message.patch], bag.path):
+                for topic, kind, data in _messages(
+                    message, skins[message.patch], bag.path
+                ):
                     if topic not in connections:
-                        connection = writer.add_connection(topic, kind, typestore=cdr.types())
+                        connection = writer.add_connection(
+                            topic, kind, typestore=cdr.types()
+                        )
                         connections[topic] = connection
                     writer.write(connections[topic], log_time_ns, data)
         return sorted(out.iterdir())
@@ -80,7 +86,9 @@ def _messages(
     stamp = divmod(message.stamp_ns, 1_000_000_000)
     seconds, _ = stamp
     if seconds > _MAX_SECONDS:
-        raise BagError(f"{path}: stamp {message.stamp_ns} is beyond what ROS 2 holds, 2**31 s")
+        raise BagError(
+            f"{path}: stamp {message.stamp_ns} is beyond what ROS 2 holds, 2**31 s"
+        )
 
     def image(array: npt.NDArray[np.float32]) -> tuple[str, bytes]:
         return cdr.IMAGE, cdr.image(stamp, message.patch, array)
@@ -95,7 +103,11 @@ def _messages(
         yield f"{topic}/wrench", cdr.WRENCH, cdr.contact_wrench(stamp, message)
         yield f"{topic}/array", cdr.ARRAY, cdr.contact_array(message)
         if skin is not None:
-            yield f"{topic}/markers", cdr.MARKERS, cdr.contact_markers(stamp, message, skin)
+            yield (
+                f"{topic}/markers",
+                cdr.MARKERS,
+                cdr.contact_markers(stamp, message, skin),
+            )
     elif isinstance(message, Measurements):
         yield topic, *image(np.asarray(message.y))
     elif forces is not None:

@@ -80,7 +80,9 @@ class Decoder:
         if self._is_cdr:
             orders = list(ORDERS.values())
         readers = {order: _Readers(definitions, order) for order in orders}
-        self._read = {order: of_order.message(kind) for order, of_order in readers.items()}
+        self._read = {
+            order: of_order.message(kind) for order, of_order in readers.items()
+        }
         self._least_bytes = readers["<"].least_bytes(kind)
 
     def decode(self, data: bytes) -> Message:
@@ -89,7 +91,9 @@ class Decoder:
         order = "<"
         if self._is_cdr:
             if data[:2] not in ORDERS:
-                raise SourceError(f"no {self._kind}: encapsulation {data[:2].hex() or 'missing'}")
+                raise SourceError(
+                    f"no {self._kind}: encapsulation {data[:2].hex() or 'missing'}"
+                )
             order = ORDERS[data[:2]]
             body = memoryview(data)[ENCAPSULATION_BYTES:]
 
@@ -98,7 +102,9 @@ class Decoder:
         try:
             message, _ = self._read[order](body, 0)
         except (struct.error, ValueError, TypeError, IndexError) as error:
-            raise SourceError(f"no {self._kind}: it ends before its last member") from error
+            raise SourceError(
+                f"no {self._kind}: it ends before its last member"
+            ) from error
         assert isinstance(message, Message)
         return message
 
@@ -145,7 +151,8 @@ class _Readers:
         # Types within which this one is read, so that none is nested within itself.
         self._open.append(kind)
         members = [
-            (member.name, self._member(member)) for member in self._definitions.members(kind)
+            (member.name, self._member(member))
+            for member in self._definitions.members(kind)
         ]
         self._open.pop()
 
@@ -171,7 +178,9 @@ class _Readers:
         elif "/" in kind:
             read_value = self.message(kind)
         else:
-            raise SourceError(f"{printable(member.name)}: {printable(kind)} is not read")
+            raise SourceError(
+                f"{printable(member.name)}: {printable(kind)} is not read"
+            )
 
         if count is None:
             return read_value
@@ -196,7 +205,9 @@ class _Readers:
 
         return read
 
-    def _length(self, count: int, least_bytes: int) -> Callable[[Buffer, int], tuple[int, int]]:
+    def _length(
+        self, count: int, least_bytes: int
+    ) -> Callable[[Buffer, int], tuple[int, int]]:
         """The reader of the length of a list, which is compared with the bytes that follow."""
         read_count = self._count
 

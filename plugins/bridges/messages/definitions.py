@@ -75,9 +75,13 @@ class Definitions:
         """
         if len(text) > MAX_TEXT_BYTES:
             limit = f"at most {MAX_TEXT_BYTES}"
-            raise SourceError(f"the definition of {printable(kind)} has {len(text)} bytes; {limit}")
+            raise SourceError(
+                f"the definition of {printable(kind)} has {len(text)} bytes; {limit}"
+            )
 
-        types_of_text = _of_idl(text) if form == "idl" else dict(_of_msg(kind, text, self.ros))
+        types_of_text = (
+            _of_idl(text) if form == "idl" else dict(_of_msg(kind, text, self.ros))
+        )
         if kind not in types_of_text:
             raise SourceError(f"the definition of {printable(kind)} does not define it")
         self._added = types_of_text | self._added
@@ -111,7 +115,9 @@ def _of_msg(kind: str, text: str, ros: int) -> Iterator[tuple[str, Members]]:
         if number:
             heading, _, part = part.partition("\n")
             if not heading.startswith("MSG:"):
-                raise SourceError(f"the definition of {printable(kind)} has a part without a name")
+                raise SourceError(
+                    f"the definition of {printable(kind)} has a part without a name"
+                )
             name = full_name(heading.removeprefix("MSG:").strip())
 
         members = tuple(_members(name, part, ros))
@@ -170,7 +176,9 @@ def _of_idl(text: str) -> dict[str, Members]:
                 types |= get_types_from_idl(part)
     except Exception as error:  # of its parser, at any text
         reason = " ".join(str(error).split())[:100]
-        raise SourceError(f"a definition .idl cannot be read: {printable(reason)}") from error
+        raise SourceError(
+            f"a definition .idl cannot be read: {printable(reason)}"
+        ) from error
     return {kind: tuple(_of_store(members)) for kind, (_, members) in types.items()}
 
 

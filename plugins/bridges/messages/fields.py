@@ -22,9 +22,21 @@ STEP = re.compile(r"([A-Za-z_]\w*)((?:\[\d{0,9}\])*)")
 INDEX = re.compile(r"\[(\d*)\]")
 ENDING = re.compile(r"(.*?)((?:\[\])*)", re.DOTALL)
 """A path, without the axes at its end, and these."""
-NO_READINGS = re.compile(r"(.*_)?(ids?|index|seq|count|stamps?|sec|nsec|nanosec|time.*)")
+NO_READINGS = re.compile(
+    r"(.*_)?(ids?|index|seq|count|stamps?|sec|nsec|nanosec|time.*)"
+)
 """Fields of messages that are no readings, where there are others."""
-NAMES = ("name", "names", "label", "labels", "id", "ids", "index", "indices", "taxel_id")
+NAMES = (
+    "name",
+    "names",
+    "label",
+    "labels",
+    "id",
+    "ids",
+    "index",
+    "indices",
+    "taxel_id",
+)
 """Members beside numbers that name them."""
 COMPRESSED = ("CompressedImage", "CompressedVideo", "CompressedPointCloud2")
 MAX_LISTED = 8
@@ -103,8 +115,12 @@ def _names_beside(message: Message, steps: list[Step], n: int) -> tuple[str, ...
         texts = tuple(map(str, value))
         digits = [re.search(r"\d+", text) for text in texts]
         numbers = [int(match[0]) for match in digits if match is not None]
-        if len(texts) == n == len(numbers) == len(set(texts)) and numbers != sorted(numbers):
-            return tuple(f"taxel_{text}" if text.isdecimal() else text for text in texts)
+        if len(texts) == n == len(numbers) == len(set(texts)) and numbers != sorted(
+            numbers
+        ):
+            return tuple(
+                f"taxel_{text}" if text.isdecimal() else text for text in texts
+            )
     return ()
 
 
@@ -132,7 +148,9 @@ def value_at(message: Message, path: str) -> int | float | Message:
         for step in steps_of(path):
             value = value[step]
     except (KeyError, IndexError, TypeError, ValueError) as error:
-        raise SourceError(f"time: there is no field {printable(path[:60])!r}") from error
+        raise SourceError(
+            f"time: there is no field {printable(path[:60])!r}"
+        ) from error
 
     if isinstance(value, np.generic):
         value = value.item()
@@ -148,7 +166,9 @@ def paths_of(message: Message, channel: str = "") -> dict[str, Numbers]:
     beside each other that of the channel, or z.
     """
     if message.kind.rpartition("/")[2] in COMPRESSED:
-        raise SourceError(f"{message.kind} is compressed; record the messages that it is made of")
+        raise SourceError(
+            f"{message.kind} is compressed; record the messages that it is made of"
+        )
     fields: dict[str, Numbers] = {}
     for path in only_channel(_paths(message), channel):
         try:
@@ -170,10 +190,14 @@ class _Walked(NamedTuple):
     values: npt.NDArray[Any]
     axes: tuple[Axis, ...]
     is_grid: bool = False
-    has_channels: bool = False  # the last axis is a list of numbers, and no list of messages
+    has_channels: bool = (
+        False  # the last axis is a list of numbers, and no list of messages
+    )
 
 
-def _walk(value: Any, steps: list[Step], n_open: int, axes: tuple[Axis, ...]) -> _Walked:
+def _walk(
+    value: Any, steps: list[Step], n_open: int, axes: tuple[Axis, ...]
+) -> _Walked:
     """The numbers behind the steps. `value` has the first `n_open` axes already."""
     name = ""
     for at, step in enumerate(steps):
@@ -203,7 +227,9 @@ def _walk(value: Any, steps: list[Step], n_open: int, axes: tuple[Axis, ...]) ->
         grid = grid_of(value)
         return _Walked(grid.values, (*axes, *grid.axes), True)
     if not isinstance(value, np.ndarray | int | float):
-        raise SourceError("field: a list of messages; state [] or [k], and the name of a number")
+        raise SourceError(
+            "field: a list of messages; state [] or [k], and the name of a number"
+        )
 
     values = np.asarray(value)
     inner_axes = tuple(Axis(size, name) for size in values.shape[n_open:])
@@ -216,13 +242,17 @@ def _of_message(message: Message, step: Step) -> Any:
         return message[step]
     names = ", ".join(printable(name) for name in [*message][:MAX_LISTED])
     step_text = "[]" if step is None else printable(str(step))
-    raise SourceError(f"field: {message.kind} has no member {step_text}; it has {names}")
+    raise SourceError(
+        f"field: {message.kind} has no member {step_text}; it has {names}"
+    )
 
 
 def _member_of(array: Any, name: str) -> Any:
     names = array.dtype.names or ()
     if name not in names:
-        raise SourceError(f"field: there is no {printable(name)!r}; allowed: {', '.join(names)}")
+        raise SourceError(
+            f"field: there is no {printable(name)!r}; allowed: {', '.join(names)}"
+        )
     return array[name]
 
 
@@ -230,7 +260,9 @@ def _entry(values: Any, step: Step, name: str, n_open: int = 0) -> Any:
     """The entry of a list, which is the next axis of an array."""
     size = len(values) if isinstance(values, list) else values.shape[n_open]
     if not isinstance(step, int):
-        raise SourceError(f"field: {printable(name)!r} is a list; state {name}[] or {name}[0]")
+        raise SourceError(
+            f"field: {printable(name)!r} is a list; state {name}[] or {name}[0]"
+        )
     if size == 0:
         raise EmptyMessageError("holds no number")
     if step >= size:
@@ -242,7 +274,9 @@ def _entry(values: Any, step: Step, name: str, n_open: int = 0) -> Any:
     return np.asarray(values[(*open_axes, step)])
 
 
-def _stacked(values: list[Any], steps: list[Step], name: str, axes: tuple[Axis, ...]) -> _Walked:
+def _stacked(
+    values: list[Any], steps: list[Step], name: str, axes: tuple[Axis, ...]
+) -> _Walked:
     """The numbers of each entry of a list, together."""
     if not values:
         raise EmptyMessageError("holds no number")
@@ -251,11 +285,15 @@ def _stacked(values: list[Any], steps: list[Step], name: str, axes: tuple[Axis, 
     shapes = {part.values.shape for part in parts}
     if len(shapes) > 1:
         sizes = ", ".join(str(part.values.size) for part in parts[:MAX_LISTED])
-        raise SourceError(f"field: the entries of {name} hold {sizes} numbers; state {name}[0]")
+        raise SourceError(
+            f"field: the entries of {name} hold {sizes} numbers; state {name}[0]"
+        )
 
     stacked = np.stack([part.values for part in parts])
     entry_axes = parts[0].axes
-    return parts[0]._replace(values=stacked, axes=(*axes, Axis(len(values), name), *entry_axes))
+    return parts[0]._replace(
+        values=stacked, axes=(*axes, Axis(len(values), name), *entry_axes)
+    )
 
 
 def _joined(walked: _Walked) -> Numbers:
@@ -309,7 +347,9 @@ def _endings(value: Any, is_listed: bool) -> Iterator[str]:
     elif isinstance(value, Message):
         for name, member in value.items():
             if name != "header":
-                yield from (f".{name}{ending}" for ending in _endings(member, is_listed))
+                yield from (
+                    f".{name}{ending}" for ending in _endings(member, is_listed)
+                )
     elif isinstance(value, list) and value:
         endings = list(_endings(value[0], True))
         # Numbers beside lists are about the entry: it is a skin, and no taxel.
@@ -360,7 +400,9 @@ def only_channel(paths: Iterable[str], channel: str) -> list[str]:
         if not letter.islower():
             axes = tuple(axis.upper() for axis in XYZ)
         beside = [stem + axis + brackets for axis in axes]
-        is_one_of_three = letter in axes and all(sibling in all_paths for sibling in beside)
+        is_one_of_three = letter in axes and all(
+            sibling in all_paths for sibling in beside
+        )
         if not is_one_of_three or letter.lower() == letter_wanted:
             chosen_paths.append(path)
     return chosen_paths

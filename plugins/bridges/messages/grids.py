@@ -29,7 +29,11 @@ PLACES = re.compile(r"[xyzt]|(n|normal_)[xyz]|rgba?|ring|row|index|time.*|curvat
 """Fields of a point cloud that are no readings."""
 ARRAYS = tuple(
     f"std_msgs/msg/{kind}MultiArray"
-    for kind in ("Float32", "Float64", *(f"{u}Int{n}" for u in ("", "U") for n in (8, 16, 32, 64)))
+    for kind in (
+        "Float32",
+        "Float64",
+        *(f"{u}Int{n}" for u in ("", "U") for n in (8, 16, 32, 64)),
+    )
 )
 KINDS = (IMAGE, CLOUD, *ARRAYS)
 """Types of messages that are frames by themselves."""
@@ -82,7 +86,9 @@ def _image(message: Message) -> Numbers:
     encoding = message["encoding"]
     match = ENCODING.fullmatch(encoding)
     if match is None:
-        raise SourceError(f"encoding {printable(encoding[:32])!r}; allowed are {ALLOWED}")
+        raise SourceError(
+            f"encoding {printable(encoding[:32])!r}; allowed are {ALLOWED}"
+        )
     n_bits = int(match[1] or match[4])
     code = KINDS_OF_NUMBERS[match[2] or "U"] + str(n_bits // 8)
     if code in ("f1", "f2"):
@@ -106,7 +112,9 @@ def _cloud(message: Message, field: str) -> Numbers:
     count = max(1, of_name["count"])
     row_step = message["row_step"]
     point_step = message["point_step"]
-    values = _cells(message, row_step, point_step, of_name["offset"], readable[name], count)
+    values = _cells(
+        message, row_step, point_step, of_name["offset"], readable[name], count
+    )
 
     height = message["height"]
     width = message["width"]
@@ -138,7 +146,9 @@ def _cells(
     end = offset + n * dtype.itemsize
     if step < n_cols * pitch or data.size != step * n_rows or end > pitch:
         sizes = f"{n_rows} x {n_cols} of {pitch} bytes"
-        raise SourceError(f"rows of {step} bytes, {data.size} bytes in all, for {sizes}")
+        raise SourceError(
+            f"rows of {step} bytes, {data.size} bytes in all, for {sizes}"
+        )
 
     # Rows and cells may have padding.
     shape = (n_rows, n_cols, n)
@@ -167,7 +177,9 @@ def _array(message: Message) -> Numbers:
     if 0 in sizes:
         raise EmptyMessageError("holds no number")
 
-    axes = tuple(_axis(size, str(dim["label"])) for size, dim in zip(sizes, dims, strict=True))
+    axes = tuple(
+        _axis(size, str(dim["label"])) for size, dim in zip(sizes, dims, strict=True)
+    )
     strides = [int(dim["stride"]) for dim in dims]
     steps = _steps(sizes, strides, data.size - offset)
     strides_bytes = [step * data.itemsize for step in steps]
@@ -201,4 +213,6 @@ def _steps(sizes: list[int], strides: list[int], n: int) -> list[int]:
 
     shape = " x ".join(map(str, sizes))
     fault = f"its dimensions {shape} with strides {strides} do not fit its {n} numbers"
-    raise UnstatedError(f"{fault}; state field=data to read all of them", {"field": "data"})
+    raise UnstatedError(
+        f"{fault}; state field=data to read all of them", {"field": "data"}
+    )

@@ -34,7 +34,9 @@ def learn(kind: str) -> None:
         try:
             types_of_text = get_types_from_msg(text, name)
         except Exception as error:  # of its parser, at any text
-            raise SourceError(f"the definition of {printable(name)} cannot be read") from error
+            raise SourceError(
+                f"the definition of {printable(name)} cannot be read"
+            ) from error
         new_types |= types_of_text
 
         # The types of its members, and of the entries of its lists.

@@ -25,7 +25,15 @@ from sparseskin.nodes.reconstructor.contact_tracks import NOTHING
 HERE = Path(__file__).parent
 HEADER = HERE.parents[2] / "examples" / "cpp"
 CHECKED = ("-fsanitize=address,undefined", "-fno-sanitize-recover=all")
-STRICT = ("-std=c++17", "-O1", "-Wall", "-Wextra", "-Wpedantic", "-Werror", f"-I{HEADER}")
+STRICT = (
+    "-std=c++17",
+    "-O1",
+    "-Wall",
+    "-Wextra",
+    "-Wpedantic",
+    "-Werror",
+    f"-I{HEADER}",
+)
 RUN_ID = "0123456789abcdef"
 
 
@@ -39,7 +47,10 @@ def lack():
     return "zmq.h is not installed (Debian: libzmq3-dev)" if done.returncode else ""
 
 
-pytestmark = [pytest.mark.skipif(bool(lack()), reason=lack() or "compiled"), pytest.mark.slow]
+pytestmark = [
+    pytest.mark.skipif(bool(lack()), reason=lack() or "compiled"),
+    pytest.mark.slow,
+]
 
 
 def compiled(source, folder, *options):
@@ -138,12 +149,22 @@ def plain(value):
 
 
 def head(message):
-    fields = {key: getattr(message, key) for key in ("stamp_ns", "patch", "run_id", "seq")}
+    fields = {
+        key: getattr(message, key) for key in ("stamp_ns", "patch", "run_id", "seq")
+    }
     return {**fields, "patches": list(message.patches), "done_ns": message.done_ns}
 
 
 def as_reconstruction(message):
-    keys = ("iterations", "residual", "solve_ns", "error", "trusted", "unchanged", "reason")
+    keys = (
+        "iterations",
+        "residual",
+        "solve_ns",
+        "error",
+        "trusted",
+        "unchanged",
+        "reason",
+    )
     return {
         **head(message),
         "shape": list(message.forces.shape),
@@ -160,7 +181,11 @@ def as_contacts(message):
     rows = []
     for k in range(message.id.size):
         totals = message.total[k], message.total_sd[k], message.peak[k]
-        row = {"id": int(message.id[k]), "total": plain(totals), "area": int(message.area[k])}
+        row = {
+            "id": int(message.id[k]),
+            "total": plain(totals),
+            "area": int(message.area[k]),
+        }
         row["patch"] = 0 if message.patch_of is None else int(message.patch_of[k])
         for name in ("centre", "centre_sd", "velocity"):
             row[name] = plain(getattr(message, name)[k])
@@ -168,7 +193,9 @@ def as_contacts(message):
             known = getattr(message, name)
             row[name] = [None] * 3 if known is None else plain(known[k])
         (row["age_s"],) = plain(message.age_s[k])
-        row["area_mm2"] = None if message.area_mm2 is None else float(message.area_mm2[k])
+        row["area_mm2"] = (
+            None if message.area_mm2 is None else float(message.area_mm2[k])
+        )
         row |= {name: bool(getattr(message, name)[k]) for name in ("over", "sliding")}
         rows.append(row)
     events = [] if message.events is None else message.events.tolist()
@@ -186,14 +213,16 @@ frames = st.one_of(
     several().filter(lambda message: isinstance(message, Reconstruction)),
 )
 streams = st.one_of(
-    st.lists(frames, min_size=1, max_size=8), st.lists(contacts(), min_size=1, max_size=8)
+    st.lists(frames, min_size=1, max_size=8),
+    st.lists(contacts(), min_size=1, max_size=8),
 )
 
 
 def numbered(messages):
     """Messages of one topic, as they are published."""
     return [
-        replace(message, patch="skin").published(RUN_ID, k) for k, message in enumerate(messages)
+        replace(message, patch="skin").published(RUN_ID, k)
+        for k, message in enumerate(messages)
     ]
 
 
@@ -207,7 +236,9 @@ def test_it_reads_what_was_sent(readings, stream):
 
 
 @given(stream=streams, data=st.data())
-def test_hostile_bytes_are_left_out_and_nothing_beyond_a_message_is_read(readings, stream, data):
+def test_hostile_bytes_are_left_out_and_nothing_beyond_a_message_is_read(
+    readings, stream, data
+):
     messages = numbered(stream)
     n_topic = len(messages[0].topic) + 1
     buffers = []
@@ -240,7 +271,9 @@ def test_messages_that_were_not_read_are_counted(dump, how):
 
 def test_a_message_of_another_version_is_refused_by_name(dump):
     schema = Contacts.schema
-    buffer = wire_bytes(sentinel(schema)).replace(b"\xa7version\x02", b"\xa7version\x03")
+    buffer = wire_bytes(sentinel(schema)).replace(
+        b"\xa7version\x02", b"\xa7version\x03"
+    )
     with reading(dump, schema) as program:
         program.send(buffer)
         read, missed = program.finish(0)
@@ -249,9 +282,15 @@ def test_a_message_of_another_version_is_refused_by_name(dump):
     assert missed == {"missed": 0, "unreadable": 1, "why": why}
 
 
-def test_the_example_prints_the_contacts_of_a_graph(start, tmp_path, monkeypatch, capsys):
+def test_the_example_prints_the_contacts_of_a_graph(
+    start, tmp_path, monkeypatch, capsys
+):
     program = compiled(HEADER / "contacts.cpp", tmp_path)
-    settings = ("reconstructor.contacts=true", "monitor.page=false", "sensor.first=1000")
+    settings = (
+        "reconstructor.contacts=true",
+        "monitor.page=false",
+        "sensor.first=1000",
+    )
     sets = [word for setting in settings for word in ("--set", setting)]
     graph = start("launch", "path_40", *sets)
     note_of_graph(graph.notes)
@@ -272,6 +311,8 @@ def test_without_an_address_it_states_its_usage(tmp_path):
     done = subprocess.run([program], capture_output=True, text=True, check=False)
     assert done.returncode == 2
     assert done.stderr.endswith("ADDRESS OFFSET_NS\n")
-    refused = subprocess.run([program, "nowhere", "0"], capture_output=True, text=True, check=False)
+    refused = subprocess.run(
+        [program, "nowhere", "0"], capture_output=True, text=True, check=False
+    )
     assert refused.returncode == 1
     assert refused.stderr == "nowhere: Invalid argument\n"

@@ -21,8 +21,12 @@ FORCES = np.arange(12, dtype=np.float32).reshape(3, 4)
 TAXELS = Taxels(stamp_ns=1, patch="skin", forces=FORCES)
 
 
-def test_an_array_is_its_shape_extent_and_first_numbers_or_in_full_every_element(monkeypatch):
-    assert text(FORCES, full=False) == ("float32, 3 x 4: min 0, mean 5.5, max 11 [0 1 2 3 4 5 ...]")
+def test_an_array_is_its_shape_extent_and_first_numbers_or_in_full_every_element(
+    monkeypatch,
+):
+    assert text(FORCES, full=False) == (
+        "float32, 3 x 4: min 0, mean 5.5, max 11 [0 1 2 3 4 5 ...]"
+    )
     assert plain(FORCES, full=False) == {
         "dtype": "float32",
         "shape": [3, 4],
@@ -33,7 +37,10 @@ def test_an_array_is_its_shape_extent_and_first_numbers_or_in_full_every_element
     }
     monkeypatch.setenv("COLUMNS", "80")
     big = np.arange(6400, dtype=np.float32).reshape(80, 80)
-    assert len(text(big, full=True).replace("[", " ").replace("]", " ").split()) == 4 + 6400
+    assert (
+        len(text(big, full=True).replace("[", " ").replace("]", " ").split())
+        == 4 + 6400
+    )
     assert json.loads(json.dumps(plain(big, full=True)))["data"] == big.tolist()
 
 
@@ -42,7 +49,12 @@ def test_contacts_are_a_line_each_and_an_array_may_be_empty():
     two = np.ones((1, 2), np.float32)
     contacts = Contacts(
         **{"stamp_ns": 1, "patch": "skin", "done_ns": 2, "id": np.array([7], np.int32)},
-        **{"total": 3 * one, "total_sd": 0.1 * one, "peak": one, "area": np.array([9], np.int32)},
+        **{
+            "total": 3 * one,
+            "total_sd": 0.1 * one,
+            "peak": one,
+            "area": np.array([9], np.int32),
+        },
         **{"centre": 4 * two, "centre_sd": 0.25 * two, "velocity": two, "age_s": one},
         **{"over": one > 0, "sliding": one < 0},
         events=np.array([[0, 7, 0]], np.int32),
@@ -51,13 +63,18 @@ def test_contacts_are_a_line_each_and_an_array_may_be_empty():
     echo = Echo("/skin/contacts", None, **options)
     lines = echo.text(contacts).split("\n")
     about = "3 ± 0.1 N; peak 1 N; at (4 ± 0.25, 4 ± 0.25) taxels; 9 taxels, 1 s; over"
-    assert " ".join(s.strip() for s in lines).endswith(f"contact 7: {about} event of 7: begin")
+    assert " ".join(s.strip() for s in lines).endswith(
+        f"contact 7: {about} event of 7: begin"
+    )
     places = np.array([[5, 6, 0]], np.float32)
     flat = replace(contacts, place_mm=places, place_sd_mm=places / 10, events=None)
     assert "at (5 ± 0.5, 6 ± 0.6) mm" in " ".join(echo.text(flat).split())
     # In the time between two shown messages those with an event are shown, too.
     made = [replace(m, stamp_ns=k, seq=k) for k, m in enumerate([flat, flat, contacts])]
-    shown = [echo.take(Arrival(*encode(m), 0, "", m.seq, m.stamp_ns, ends=False)) for m in made]
+    shown = [
+        echo.take(Arrival(*encode(m), 0, "", m.seq, m.stamp_ns, ends=False))
+        for m in made
+    ]
     assert shown == [True, False, True]
     assert text(one[:0], full=False) == "float32, 0"
     assert plain(one[:0], full=False)["first"] == []
@@ -65,9 +82,19 @@ def test_contacts_are_a_line_each_and_an_array_may_be_empty():
 
 @pytest.mark.parametrize("reason", Reason)
 def test_the_reason_of_a_frame_is_followed_by_its_meaning(reason):
-    of_patches = {"iterations": (1, 1, 1), "residual": (0.1, 0.1, 0.1), "solve_ns": (1, 1, 1)}
+    of_patches = {
+        "iterations": (1, 1, 1),
+        "residual": (0.1, 0.1, 0.1),
+        "solve_ns": (1, 1, 1),
+    }
     body = Reconstruction(
-        **{"stamp_ns": 1, "patch": "body", "names": ("a", "b", "c"), "done_ns": 2, **of_patches},
+        **{
+            "stamp_ns": 1,
+            "patch": "body",
+            "names": ("a", "b", "c"),
+            "done_ns": 2,
+            **of_patches,
+        },
         **{"forces": np.ones((3, 2, 2), np.float32), "phi": "0" * 16},
         **{"trusted": (False, True, False), "reason": (reason.value, "", reason.value)},
     )
@@ -77,7 +104,9 @@ def test_the_reason_of_a_frame_is_followed_by_its_meaning(reason):
     meaning = f" reason {reason}: {reason.sentence}"
     for message in (body, skin):
         assert " ".join(echo.text(message).split()).endswith(meaning)
-    shown = json.loads(Echo("/skin/reconstruction", None, in_json=True, **options).text(skin))
+    shown = json.loads(
+        Echo("/skin/reconstruction", None, in_json=True, **options).text(skin)
+    )
     assert shown["reason"] == reason
     assert f"reason {reason}" not in shown
 
@@ -169,7 +198,14 @@ def test_the_map_fits(rows, cols, width, height, coloured):
 
 
 def entry(type_, **stated):
-    return {"type": type_, "low": None, "high": None, "choices": [], "known": [], **stated}
+    return {
+        "type": type_,
+        "low": None,
+        "high": None,
+        "choices": [],
+        "known": [],
+        **stated,
+    }
 
 
 @pytest.mark.parametrize(
@@ -209,4 +245,7 @@ def test_the_last_column_is_wrapped_under_itself(monkeypatch):
     monkeypatch.setenv("COLUMNS", "80")
     lines = table(["KEY", "WHAT"], [["key", "many words " * 20]])
     assert all(len(line) <= 80 for line in lines)
-    assert all(line.startswith("     many") or line.startswith("     words") for line in lines[2:])
+    assert all(
+        line.startswith("     many") or line.startswith("     words")
+        for line in lines[2:]
+    )

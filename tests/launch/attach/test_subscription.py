@@ -27,7 +27,9 @@ own_publisher = settings(suppress_health_check=[HealthCheck.function_scoped_fixt
 
 @own_publisher
 @given(sizes=bursts)
-def test_a_reader_of_the_newest_alone_has_the_last_of_each_burst_and_no_other(context, sizes):
+def test_a_reader_of_the_newest_alone_has_the_last_of_each_burst_and_no_other(
+    context, sizes
+):
     endpoint = f"inproc://{os.urandom(8).hex()}"  # what is sent there has come
     writer = Writer(context, endpoint)
     options = {"present": False, "read_ahead": NEWEST_ALONE}
@@ -101,7 +103,9 @@ def test_a_loop_ends_with_its_graph(tmp_path, monkeypatch):
 def test_a_wait_can_be_limited_and_goes_on_afterwards(publisher):
     with sparseskin.subscribe(TOPIC, timeout_s=0) as frames:
         publisher.wait_for_subscription()
-        with pytest.raises(TimeoutError, match=r"^/skin/taxels: no message within 0 s$"):
+        with pytest.raises(
+            TimeoutError, match=r"^/skin/taxels: no message within 0 s$"
+        ):
             next(frames)
         publisher.send(1)
         message = None
@@ -166,9 +170,13 @@ def test_a_wait_of_an_event_loop_can_be_limited(publisher):
     timeout_s=st.floats(max_value=-1e-9) | st.just(math.nan) | st.text(max_size=3),
 )
 def test_arguments_that_are_not_allowed_are_named(topic, timeout_s):
-    with pytest.raises(sparseskin.SparseskinError, match=r"^subscribe: topic = .*allowed: a text"):
+    with pytest.raises(
+        sparseskin.SparseskinError, match=r"^subscribe: topic = .*allowed: a text"
+    ):
         sparseskin.subscribe(topic)
-    with pytest.raises(sparseskin.SparseskinError, match=r"^subscribe: timeout_s = .*; allowed: 0"):
+    with pytest.raises(
+        sparseskin.SparseskinError, match=r"^subscribe: timeout_s = .*; allowed: 0"
+    ):
         sparseskin.subscribe(TOPIC, timeout_s=timeout_s)
 
 
@@ -184,12 +192,17 @@ def test_it_states_which_graphs_and_topics_there_are(publisher):
         assert refused(TOPIC) == several
         assert sparseskin.subscribe(TOPIC, graph="graph").graph == label
         hint = f"did you mean '{label}'?"
-        assert refused(TOPIC, graph="grap-1") == f"graph grap-1: no such graph runs ({hint})"
+        assert (
+            refused(TOPIC, graph="grap-1")
+            == f"graph grap-1: no such graph runs ({hint})"
+        )
 
 
 def test_without_a_graph_it_states_how_to_start_one(tmp_path, monkeypatch):
     monkeypatch.setenv("SPARSESKIN_RUNTIME_DIR", str(tmp_path))
-    with pytest.raises(sparseskin.SparseskinError, match=r"^no graph runs on this host"):
+    with pytest.raises(
+        sparseskin.SparseskinError, match=r"^no graph runs on this host"
+    ):
         sparseskin.subscribe(TOPIC)
 
 
@@ -199,7 +212,9 @@ def test_forces_and_contacts_of_a_graph_in_a_loop(start, monkeypatch):
     graph = start("launch", *arguments, "--set", "reconstructor.contacts=true")
     monkeypatch.setenv("SPARSESKIN_RUNTIME_DIR", str(graph.notes))
     label = json.loads(note_of_graph(graph.notes).read_text())["name"]
-    with pytest.raises(sparseskin.SparseskinError, match=r"no such topic.*/skin/contacts"):
+    with pytest.raises(
+        sparseskin.SparseskinError, match=r"no such topic.*/skin/contacts"
+    ):
         sparseskin.subscribe("/skin/contact", graph=label)
     with (
         sparseskin.subscribe("/skin/contacts", newest=True) as contacts,
@@ -225,6 +240,8 @@ def test_forces_and_contacts_of_a_graph_in_a_loop(start, monkeypatch):
         if n_calls == 20:
             raise DoneError
 
-    (block,) = re.findall(r"^```py\n(.*?)^```$", PAGE.read_text(), re.MULTILINE | re.DOTALL)
+    (block,) = re.findall(
+        r"^```py\n(.*?)^```$", PAGE.read_text(), re.MULTILINE | re.DOTALL
+    )
     with pytest.raises(DoneError):
         exec(compile(block, PAGE.name, "exec"), {"hold": called, "act": called})

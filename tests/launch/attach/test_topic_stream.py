@@ -33,7 +33,9 @@ def test_it_sees_the_messages_as_they_are_sent_and_when(publisher):
         publisher.send(3)
         publisher.end()
         *frames, end = take(stream, 4)
-    assert [(f.seq, f.run_id, f.ends) for f in frames] == [(k, RUN_ID, False) for k in range(3)]
+    assert [(f.seq, f.run_id, f.ends) for f in frames] == [
+        (k, RUN_ID, False) for k in range(3)
+    ]
     assert end.seq == 3
     assert end.ends
     for one in frames:
@@ -102,7 +104,9 @@ def test_it_ends_with_its_graph(tmp_path, monkeypatch):
     gone.context.destroy(linger=0)
 
 
-def test_echo_for_a_person_shows_some_and_counts_the_others(publisher, monkeypatch, capsys):
+def test_echo_for_a_person_shows_some_and_counts_the_others(
+    publisher, monkeypatch, capsys
+):
     monkeypatch.setattr("sparseskin.launch.commands.topic.give_way", lambda: None)
 
     def publish():
@@ -127,7 +131,13 @@ def arrival(seq, at_ms, *, stamp_ms=None, n=92, run="a"):
     """A message of n + 8 bytes that came at a time; stamped 2 ms earlier by default."""
     stamp_ms = at_ms - 2 if stamp_ms is None else stamp_ms
     return Arrival(
-        b"/skin/x", bytes(n), round(at_ms * MS), run, seq, round(stamp_ms * MS), ends=False
+        b"/skin/x",
+        bytes(n),
+        round(at_ms * MS),
+        run,
+        seq,
+        round(stamp_ms * MS),
+        ends=False,
     )
 
 
@@ -150,7 +160,9 @@ def test_rates_are_those_of_numbers_and_arrivals_however_late_they_are_read():
     assert figures["arrives_hz"] == pytest.approx(100 / 3)
     assert figures["interval_ms"] is None
     assert made.lost == 20
-    assert text_of(figures) == "100 Hz, 33.33 here | 3.33 kB/s | p50 2.00, p99 2.00 ms old"
+    assert (
+        text_of(figures) == "100 Hz, 33.33 here | 3.33 kB/s | p50 2.00, p99 2.00 ms old"
+    )
     # 1 kHz, every 50 ms what has come since, but for half a second in which nothing is taken in.
     at_ms = [50 * (k // 50 + 1) if not 400 <= k < 900 else 900 for k in range(1000)]
     made = samples(*(arrival(k, at_ms[k], stamp_ms=k) for k in range(1000)))
@@ -162,14 +174,18 @@ def test_rates_are_those_of_numbers_and_arrivals_however_late_they_are_read():
 
 def test_intervals_are_between_messages_with_none_lost_and_delays_from_stamp_to_arrival():
     stamps_ms = {0: 0, 1: 10, 2: 22, 5: 50, 6: 58}
-    made = samples(*(arrival(seq, 99 * seq, stamp_ms=ms) for seq, ms in stamps_ms.items()))
+    made = samples(
+        *(arrival(seq, 99 * seq, stamp_ms=ms) for seq, ms in stamps_ms.items())
+    )
     between = figures_of(made.last(1000))["interval_ms"]
     assert (between["min"], between["max"]) == pytest.approx((8, 12))
     assert between["mean"] == pytest.approx(10)
     assert between["std"] == pytest.approx(np.sqrt(8 / 3))
     made = samples(*(arrival(k, 10 * k, stamp_ms=9 * k) for k in range(101)))
     figures = figures_of(made.last(1000))["delay_ms"]
-    assert (figures["p50"], figures["p99"], figures["max"]) == pytest.approx((50, 99, 100))
+    assert (figures["p50"], figures["p99"], figures["max"]) == pytest.approx(
+        (50, 99, 100)
+    )
     late = made.last(1000)
     late[1:, 4] = 0  # all but the first may have waited
     assert figures_of(late)["delay_ms"]["max"] == 0
@@ -181,7 +197,10 @@ def test_bytes_a_second_leave_out_what_came_before_the_first_interval_and_few_ha
     assert figures["bytes_per_s"] == pytest.approx(300)
     assert figures["size_bytes"]["max"] == 10_000
     assert text_of(figures_of(samples().last(9))) == ""
-    assert text_of(figures_of(samples(arrival(0, 1)).last(9))) == "p50 2.00, p99 2.00 ms old"
+    assert (
+        text_of(figures_of(samples(arrival(0, 1)).last(9)))
+        == "p50 2.00, p99 2.00 ms old"
+    )
 
 
 B = {"run": "b"}
@@ -194,7 +213,11 @@ B = {"run": "b"}
         ([arrival(70, 1), arrival(71, 2), arrival(75, 3)], 3, [70, 71, 75]),
         ([arrival(70, 1), end(75)], 4, [70]),
         ([end(75)], 0, []),
-        ([arrival(8, 1), arrival(9, 2), arrival(3, 50, **B), arrival(5, 60, **B)], 1, [3, 5]),
+        (
+            [arrival(8, 1), arrival(9, 2), arrival(3, 50, **B), arrival(5, 60, **B)],
+            1,
+            [3, 5],
+        ),
         # Played in a loop.
         ([arrival(8, 1), arrival(9, 2), arrival(0, 3), arrival(1, 4)], 0, [0, 1]),
     ],

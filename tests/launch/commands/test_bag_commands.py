@@ -132,7 +132,9 @@ def test_a_broken_bag_is_exported_as_far_as_it_goes_and_reports_it(bag, capsys):
         assert open_file("b.npz").n_frames == broken.topics["/skin/taxels"].n_messages
 
 
-@pytest.mark.parametrize("schemas", [(), ("skin", "taxels"), ("skin", "phi", "measurements")])
+@pytest.mark.parametrize(
+    "schemas", [(), ("skin", "taxels"), ("skin", "phi", "measurements")]
+)
 def test_too_little_to_show_is_one_line(tmp_path, capsys, schemas):
     path = tmp_path / "some.mcap"
     make_bag(path, [m for m in frames(3) if m.schema in schemas])

@@ -28,7 +28,9 @@ def counts(force, n):
 def folder(tmp_path, monkeypatch):
     """A recording at 100 Hz: 3 s untouched, 2 s at 0.5 N and 2 s at 1 N a taxel."""
     monkeypatch.chdir(tmp_path)
-    np.save("all.npy", np.concatenate([counts(0, 300), counts(0.5, 200), counts(1.0, 200)]))
+    np.save(
+        "all.npy", np.concatenate([counts(0, 300), counts(0.5, 200), counts(1.0, 200)])
+    )
     np.save("more.npy", counts(1.0, 50))
     return tmp_path
 
@@ -44,7 +46,9 @@ def assert_calibrated(path):
 
 def test_options_alone_calibrate_a_recording(folder, capsys):
     loads = ("--press", "12N@all:3.2-4.8s", "--press", "24N@all:more.npy")
-    done = main(["calibrate", "file:all.npy", "--out", "palm.toml", *loads, "--pitch-mm", "2.5"])
+    done = main(
+        ["calibrate", "file:all.npy", "--out", "palm.toml", *loads, "--pitch-mm", "2.5"]
+    )
     printed = capsys.readouterr().out
     assert done == 0
     assert_calibrated("palm.toml")
@@ -54,7 +58,9 @@ def test_options_alone_calibrate_a_recording(folder, capsys):
     assert "--set sensor.source=file:all.npy --set sensor.skin=palm.toml" in printed
 
 
-def test_a_person_is_asked_and_wrong_answers_are_asked_again(folder, capsys, monkeypatch):
+def test_a_person_is_asked_and_wrong_answers_are_asked_again(
+    folder, capsys, monkeypatch
+):
     answers = ["heavy", "24N", "everywhere", "all", "9-8s", "5.2-6.8s", ""]
     monkeypatch.setattr("sys.stdin", io.StringIO("\n".join(answers) + "\n"))
     assert main(["calibrate", "file:all.npy", "--out", "palm.toml"]) == 0
@@ -71,7 +77,9 @@ def test_the_end_of_the_input_is_no_answer(folder, answers, capsys, monkeypatch)
     monkeypatch.setattr("sys.stdin", io.StringIO(answers))
     assert main(["calibrate", "file:all.npy", "--out", "palm.toml"]) == 2
     (line,) = capsys.readouterr().err.splitlines()
-    assert line.startswith("the input ended before the questions; nothing is written (--press, ")
+    assert line.startswith(
+        "the input ended before the questions; nothing is written (--press, "
+    )
     assert sorted(folder.iterdir()) == before
 
 
@@ -100,17 +108,23 @@ def frames():
 
 
 @pytest.mark.slow
-def test_a_live_source_is_calibrated_and_tared_while_its_graph_runs(start, tmp_path, monkeypatch):
+def test_a_live_source_is_calibrated_and_tared_while_its_graph_runs(
+    start, tmp_path, monkeypatch
+):
     (tmp_path / "live_skin.py").write_text(LIVE_SKIN)
     words = ("--untouched", "0.2s", "--no-questions", "--f-max", "50")
-    code, out, err = start("calibrate", "live_skin:frames", "--out", "p.toml", *words).finish()
+    code, out, err = start(
+        "calibrate", "live_skin:frames", "--out", "p.toml", *words
+    ).finish()
     assert code == 0
     assert err == ""
     assert "p: 4 x 6 taxels" in out
     assert "press Enter" not in out
     np.testing.assert_allclose(load_skin(tmp_path / "p.toml").baseline, 40, atol=1.5)
     # A baseline that has become old, by 5.
-    old = SkinDescription("old", *SHAPE, 50.0, unit="N", baseline=np.full(SHAPE, 35.0), noise=1.0)
+    old = SkinDescription(
+        "old", *SHAPE, 50.0, unit="N", baseline=np.full(SHAPE, 35.0), noise=1.0
+    )
     save_skin(tmp_path / "old.toml", old)
     graph = start(
         *("launch", "replay", "--record", "run.mcap", "--set", "monitor.port=0"),
@@ -135,14 +149,21 @@ def test_a_live_source_is_calibrated_and_tared_while_its_graph_runs(start, tmp_p
     with BagReader(tmp_path / "run.mcap") as bag:
         assert bag.topics["/skin/calibration"].n_messages == 2
     # Its taxels are no raw readings any more.
-    code, _, err = start("calibrate", "file:run.mcap", "--out", "again.toml", *words).finish()
+    code, _, err = start(
+        "calibrate", "file:run.mcap", "--out", "again.toml", *words
+    ).finish()
     assert code == 2
-    assert err == "run.mcap: its taxels are forces, of a calibrated skin; expected raw readings\n"
+    assert (
+        err
+        == "run.mcap: its taxels are forces, of a calibrated skin; expected raw readings\n"
+    )
 
 
 def test_a_graph_without_a_calibration_is_not_tared(monkeypatch, capsys):
     nodes = [{"name": "sensor", "type": "sensor", "state": {"paused": False}}]
-    monkeypatch.setattr(calibrate, "choose_graph", lambda name: SimpleNamespace(label="a (7)"))
+    monkeypatch.setattr(
+        calibrate, "choose_graph", lambda name: SimpleNamespace(label="a (7)")
+    )
     monkeypatch.setattr(calibrate, "describe", lambda graph: {"nodes": nodes})
     assert main(["tare"]) == 2
     assert capsys.readouterr().err == (

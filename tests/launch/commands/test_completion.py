@@ -58,14 +58,26 @@ def overrides(launch, begun):
 @pytest.mark.parametrize(
     ("launch", "begun", "found"),
     [
-        ("path_40", "", ["graph.", "sensor.", "compressor.", "reconstructor.", "monitor."]),
+        (
+            "path_40",
+            "",
+            ["graph.", "sensor.", "compressor.", "reconstructor.", "monitor."],
+        ),
         ("path_40", "graph.transport=", ["graph.transport=ipc", "graph.transport=tcp"]),
         ("path_40", "compressor.b", ["compressor.bits=", "compressor.block="]),
-        ("path_40", "reconstructor.preset=", [f"reconstructor.preset={p}" for p in PRESETS]),
+        (
+            "path_40",
+            "reconstructor.preset=",
+            [f"reconstructor.preset={p}" for p in PRESETS],
+        ),
         ("path_40", "sensor.source=scene:p", ["sensor.source=scene:path_40"]),
         ("no_such_file", "", []),
         ("own.toml", "", ["graph.", "camera.", "mine."]),
-        ("own.toml", "camera.n", [*CELLS, "camera.nan=", "camera.negative=", "camera.noise="]),
+        (
+            "own.toml",
+            "camera.n",
+            [*CELLS, "camera.nan=", "camera.negative=", "camera.noise="],
+        ),
         (None, "", ["compressor.", "reconstructor."]),
     ],
 )
@@ -184,7 +196,9 @@ def test_next_to_nothing_is_imported_before_an_interrupt_is_handled():
         "import sys; before = set(sys.modules); import sparseskin.launch.commands.entry; "
         "print(*set(sys.modules) - before)"
     )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    done = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=True
+    )
     own = ("sparseskin", "importlib._bootstrap")  # the latter has run before anything
     others = {name for name in done.stdout.split() if not name.startswith(own)}
     assert others <= {"__future__", "importlib", "warnings"}
@@ -209,8 +223,15 @@ def test_a_graph_runs_while_standard_files_are_closed(start, tmp_path):
 def test_a_user_without_name_and_home_gets_no_traceback():
     if os.geteuid() != 0 or shutil.which("setpriv") is None:
         pytest.skip("only root, with setpriv (util-linux), can act as an unknown user")
-    become = ("setpriv", f"--reuid={UNKNOWN_UID}", f"--regid={UNKNOWN_UID}", "--clear-groups")
-    environment = {k: v for k, v in os.environ.items() if not k.startswith(("HOME", "XDG_"))}
+    become = (
+        "setpriv",
+        f"--reuid={UNKNOWN_UID}",
+        f"--regid={UNKNOWN_UID}",
+        "--clear-groups",
+    )
+    environment = {
+        k: v for k, v in os.environ.items() if not k.startswith(("HOME", "XDG_"))
+    }
 
     def run(*command):
         return subprocess.run(
@@ -230,11 +251,21 @@ def test_a_user_without_name_and_home_gets_no_traceback():
 
 
 def test_the_end_of_a_run_states_what_was_clipped_restarted_recorded_and_played(capsys):
-    extremes = {"lowest": -0.5, "highest": 7.25, "f_min": -0.1, "f_max": 2.5, "unit": "N\x1b"}
+    extremes = {
+        "lowest": -0.5,
+        "highest": 7.25,
+        "f_min": -0.1,
+        "f_max": 2.5,
+        "unit": "N\x1b",
+    }
     counts = {"clipped": 12, "clipped_below": 9, "clipped_above": 3}
     nodes = {
         "sensor": {"type": "sensor", **counts, **extremes},
-        "flaky": {"type": "x:Y", "restarts": 2, "failures": ["exit code 1", "killed\x1b"]},
+        "flaky": {
+            "type": "x:Y",
+            "restarts": 2,
+            "failures": ["exit code 1", "killed\x1b"],
+        },
         "good": {"type": "sensor", "clipped": 0},
         "own": {"type": "mine:Sensor", "clipped": "some", "played": 3},
         "dead": {"type": "sensor"},
@@ -245,7 +276,11 @@ def test_the_end_of_a_run_states_what_was_clipped_restarted_recorded_and_played(
         },
         "full": {
             "type": "recorder",
-            "recording": {"out": "full.mcap", "n_messages": 7, "error": "full.mcap: no space"},
+            "recording": {
+                "out": "full.mcap",
+                "n_messages": 7,
+                "error": "full.mcap: no space",
+            },
         },
         "silent": {
             "type": "recorder",

@@ -104,7 +104,9 @@ def test_node_list_reports_condition_and_process_of_every_node(graph, run, run_j
 
     wait_until(all_run, "all nodes to answer")
     assert [node["name"] for node in nodes] == NODES
-    assert {n["name"]: n["pid"] for n in nodes} == {name: graph.pid_of(name) for name in NODES}
+    assert {n["name"]: n["pid"] for n in nodes} == {
+        name: graph.pid_of(name) for name in NODES
+    }
     head, *lines = run("node", "list").splitlines()
     assert head.split() == ["NODE", "TYPE", "CONDITION", "PID", "RESTARTS"]
     assert [line.split()[0] for line in lines] == NODES
@@ -132,7 +134,10 @@ def test_param_list_reports_value_range_meaning_and_what_is_in_force(run, run_js
     rate = {entry["key"]: entry for entry in nodes["sensor"]}["rate_hz"]
     assert rate["live"]
     assert rate["value"] == 10.0
-    told = {entry["key"]: (entry["value"], entry["in_force"]) for entry in nodes["reconstructor"]}
+    told = {
+        entry["key"]: (entry["value"], entry["in_force"])
+        for entry in nodes["reconstructor"]
+    }
     assert told["preset"] == ("skin", "skin")
     assert told["solver"] == (None, "skin")
     assert told["basis"] == (None, None)  # that solver takes none
@@ -142,7 +147,9 @@ def test_param_list_reports_value_range_meaning_and_what_is_in_force(run, run_js
     assert max(map(len, text.splitlines())) <= 80
 
 
-def test_a_setting_is_changed_by_its_node_and_the_recording_has_it(run, folder, run_json):
+def test_a_setting_is_changed_by_its_node_and_the_recording_has_it(
+    run, folder, run_json
+):
     assert run("param", "set", "compressor", "ratio", "5") == "compressor: ratio = 5\n"
     assert run("param", "get", "compressor", "ratio") == "5.0\n"
     assert run("param", "get", "compressor", "rows") == "none (in force: rotating)\n"
@@ -151,7 +158,9 @@ def test_a_setting_is_changed_by_its_node_and_the_recording_has_it(run, folder, 
     def recorded():
         try:
             with BagReader(folder / "run.mcap.part") as bag:
-                states = [decode(b"/skin/phi", m.payload) for m in bag.messages(["/skin/phi"])]
+                states = [
+                    decode(b"/skin/phi", m.payload) for m in bag.messages(["/skin/phi"])
+                ]
         except BagError:
             return False  # nothing of it is written yet
         return any(isinstance(state, PhiState) and state.m == 320 for state in states)
@@ -167,7 +176,9 @@ def test_settings_of_one_command_are_changed_all_or_none(run, refused):
     answer = run("param", "set", "sensor", "noise", "0.25", "rate_hz", "11")
     assert answer == "sensor: noise = 0.25, rate_hz = 11\n"
     assert run("param", "get", "sensor", "noise") == "0.25\n"
-    assert run("param", "set", "reconstructor", "iterations", "4").endswith("iterations = 4\n")
+    assert run("param", "set", "reconstructor", "iterations", "4").endswith(
+        "iterations = 4\n"
+    )
     answer = run("param", "set", "reconstructor", "iterations", "none")
     assert answer == "reconstructor: iterations is no longer stated\n"
     assert run("param", "get", "reconstructor", "iterations") == "none\n"
@@ -186,7 +197,9 @@ class Own(FistaSolver):
 """
 
 
-def test_options_of_the_solver_are_set_one_by_one(start, run, refused, tmp_path, monkeypatch):
+def test_options_of_the_solver_are_set_one_by_one(
+    start, run, refused, tmp_path, monkeypatch
+):
     (tmp_path / "solver_of_user.py").write_text(OWN_SOLVER)
     settings = (
         "reconstructor.solver=solver_of_user:Own",
@@ -203,7 +216,9 @@ def test_options_of_the_solver_are_set_one_by_one(start, run, refused, tmp_path,
     run(*options, "30")
     both = {"n_rounds": 30, "seed": 3}
     assert json.loads(run("param", "get", "reconstructor", "options")) == both
-    assert refused(*options, "0").endswith("own: n_rounds = 0 is not allowed; allowed: 1..")
+    assert refused(*options, "0").endswith(
+        "own: n_rounds = 0 is not allowed; allowed: 1.."
+    )
     assert json.loads(run("param", "get", "reconstructor", "options")) == both
     run("param", "set", "reconstructor", "options", "none")
     assert run("param", "get", "reconstructor", "options") == "none\n"
@@ -212,15 +227,24 @@ def test_options_of_the_solver_are_set_one_by_one(start, run, refused, tmp_path,
 @pytest.mark.parametrize(
     ("arguments", "line"),
     [
-        ("param set compressor ratio.x 3", "compressor: ratio: expected a number, got {'x': 3}"),
+        (
+            "param set compressor ratio.x 3",
+            "compressor: ratio: expected a number, got {'x': 3}",
+        ),
         ("node info sensr", "no such node (did you mean 'sensor'?)"),
-        ("param get sensor nois", "sensor: nois: no such setting (did you mean 'noise'?)"),
+        (
+            "param get sensor nois",
+            "sensor: nois: no such setting (did you mean 'noise'?)",
+        ),
         (
             "param set reconstructor preset skn",
             "preset: 'skn' is not allowed while the graph runs (did you mean 'skin'?); "
             "allowed: paper, skin",
         ),
-        ("param set sensor seed 1", "sensor: seed: cannot be changed while the graph runs"),
+        (
+            "param set sensor seed 1",
+            "sensor: seed: cannot be changed while the graph runs",
+        ),
         ("param set sensor noise 1 rate_hz", "rate_hz: a setting without a value"),
         ("topic info /skin/taxel", "no such topic (did you mean '/skin/taxels'?)"),
         ("topic echo skin/phi --field nn", "phi has no such field (did you mean 'n'?)"),
@@ -232,7 +256,9 @@ def test_what_is_not_there_is_refused_in_one_line(refused, arguments, line):
     assert line in refused(*arguments.split())
 
 
-def test_topics_are_reported_with_fields_publishers_and_what_subscribers_received(run, run_json):
+def test_topics_are_reported_with_fields_publishers_and_what_subscribers_received(
+    run, run_json
+):
     topics = {topic["topic"]: topic for topic in run_json("topic", "list")["topics"]}
     assert list(topics) == TOPICS
     assert [name for name, one in topics.items() if one["latched"]] == [
@@ -241,7 +267,11 @@ def test_topics_are_reported_with_fields_publishers_and_what_subscribers_receive
     phi = topics["/skin/phi"]
     assert phi["schema"] == "phi"
     assert phi["publisher"] == "compressor"
-    assert [one["node"] for one in phi["subscribers"]] == ["reconstructor", "monitor", "recorder"]
+    assert [one["node"] for one in phi["subscribers"]] == [
+        "reconstructor",
+        "monitor",
+        "recorder",
+    ]
     topic = run_json("topic", "info", "skin/taxels")
     assert list(topic["fields"]) == [
         *("stamp_ns", "patch", "run_id", "seq", "names", "missing", "reason", "forces")
@@ -259,7 +289,8 @@ def test_echo_summarises_arrays_and_prints_them_in_full_where_asked(run, run_jso
     assert brief["forces"]["shape"] == [40, 40]
     assert brief["forces"]["min"] <= brief["forces"]["mean"] <= brief["forces"]["max"]
     (forces,) = run_json(
-        *("topic", "echo", "/skin/taxels", "--once", "--full", "--field", "forces"), lines=True
+        *("topic", "echo", "/skin/taxels", "--once", "--full", "--field", "forces"),
+        lines=True,
     )
     assert [len(row) for row in forces["data"]] == [40] * 40
     text = run("topic", "echo", "/skin/taxels", "--once")
@@ -267,7 +298,9 @@ def test_echo_summarises_arrays_and_prints_them_in_full_where_asked(run, run_jso
     assert max(map(len, text.splitlines())) <= 80
     # It shows the last message of a latched topic at once, and leaves none out in JSON.
     assert run("topic", "echo", "/skin/skin", "--once", "--field", "n_rows") == "40\n"
-    seqs = run_json("topic", "echo", "/skin/taxels", "-n", "20", "--field", "seq", lines=True)
+    seqs = run_json(
+        "topic", "echo", "/skin/taxels", "-n", "20", "--field", "seq", lines=True
+    )
     assert seqs == list(range(seqs[0], seqs[0] + 20))
 
 
@@ -280,7 +313,12 @@ def test_hz_reports_what_is_sent_and_what_arrives(run_json):
     assert last["sent_hz"] > 0
     assert last["sent_hz"] == pytest.approx(1e3 / last["interval_ms"]["mean"])
     assert last["arrives_hz"] > 0
-    assert 1600 * 4 < last["size_bytes"]["min"] <= last["size_bytes"]["max"] < 1600 * 4 + 300
+    assert (
+        1600 * 4
+        < last["size_bytes"]["min"]
+        <= last["size_bytes"]["max"]
+        < 1600 * 4 + 300
+    )
     assert last["bytes_per_s"] > 0
     age = last["delay_ms"]
     assert 0 < age["min"] <= age["p50"] <= age["p99"] <= age["max"]
@@ -291,17 +329,26 @@ def test_where_nothing_comes_it_reports_why(folder, capsys):
     assert ask_node(graph, "sensor", "pause", True) == "paused"
     try:
         main(["topic", "hz", "skin/taxels", "--duration", "1.5"])
-        assert re.search(r"no message for \d+ s \(sensor: paused\)", capsys.readouterr().err)
+        assert re.search(
+            r"no message for \d+ s \(sensor: paused\)", capsys.readouterr().err
+        )
         assert main(["topic", "echo", "skin/taxels", "--duration", "0.2"]) == 1
-        assert capsys.readouterr().err == "/skin/taxels: no message came (sensor: paused)\n"
+        assert (
+            capsys.readouterr().err
+            == "/skin/taxels: no message came (sensor: paused)\n"
+        )
     finally:
         ask_node(graph, "sensor", "pause", False)
 
 
 @pytest.mark.parametrize("closed", [False, True])
-def test_an_interrupt_ends_with_a_summary_and_a_pipe_that_closes_is_no_matter(folder, closed):
+def test_an_interrupt_ends_with_a_summary_and_a_pipe_that_closes_is_no_matter(
+    folder, closed
+):
     command = [sys.executable, *PATIENT_COMMAND, "topic", "hz", "/skin/taxels"]
-    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    process = subprocess.Popen(
+        command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    )
     try:
         assert " ms old | lost " in process.stdout.readline()
         if closed:

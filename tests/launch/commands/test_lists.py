@@ -37,13 +37,21 @@ def test_graphs_are_listed_and_which_to_stop_has_to_be_said(capsys):
         assert main(["graph", "list", "--json"]) == 0
         graphs = json.loads(capsys.readouterr().out)["graphs"]
         assert graphs == [
-            {"name": "path_40", "pid": p, "nodes": ["sensor"], "starting": False} for p in (7, 8)
+            {"name": "path_40", "pid": p, "nodes": ["sensor"], "starting": False}
+            for p in (7, 8)
         ]
         assert main(["graph", "list"]) == 0
-        assert capsys.readouterr().out.splitlines()[1].split() == ["path_40", "7", "sensor"]
+        assert capsys.readouterr().out.splitlines()[1].split() == [
+            "path_40",
+            "7",
+            "sensor",
+        ]
         for stated, line in (
             ([], "several graphs run; choose one: path_40-7, path_40-8"),
-            (["path_40-9"], "path_40-9: no such graph runs (did you mean 'path_40-8'?)"),
+            (
+                ["path_40-9"],
+                "path_40-9: no such graph runs (did you mean 'path_40-8'?)",
+            ),
         ):
             assert main(["stop", *stated]) == 2
             assert capsys.readouterr().err == f"{line}\n"
@@ -73,7 +81,10 @@ def test_patches_of_a_batch_are_those_of_the_settings_of_its_writer(monkeypatch)
 
     def describe(_, node):
         asked.append(node)
-        patches = {"key": "patches", "value": ("a", "b") if node == "reconstructor" else ()}
+        patches = {
+            "key": "patches",
+            "value": ("a", "b") if node == "reconstructor" else (),
+        }
         return {"settings": [{"key": "seed", "value": 0}, patches]}
 
     monkeypatch.setattr(observers, "describe_node", describe)
@@ -106,11 +117,15 @@ def test_sources_lists_what_there_is(tmp_path, monkeypatch, capsys, offering):
         assert word in text
 
 
-def test_scope_prints_figures_where_the_output_is_no_terminal(tmp_path, monkeypatch, capsys):
+def test_scope_prints_figures_where_the_output_is_no_terminal(
+    tmp_path, monkeypatch, capsys
+):
     monkeypatch.chdir(tmp_path)
     np.save("step.npy", np.arange(60, dtype=np.float32).reshape(5, 3, 4))
     assert main(["scope", "file:step.npy", "--set", "unit=kPa"]) == 0
-    assert capsys.readouterr().out.splitlines()[-1] == "step: 5 frames; min 0, max 59 kPa"
+    assert (
+        capsys.readouterr().out.splitlines()[-1] == "step: 5 frames; min 0, max 59 kPa"
+    )
 
 
 GRAPH = """\
@@ -132,23 +147,33 @@ def test_every_tool_beside_a_secured_graph_is_served(tmp_path):
         make_key_files(name, tmp_path / "keys")
         (tmp_path / name).mkdir()
     (tmp_path / "loop.py").write_text(LOOP)
-    (tmp_path / "graph.toml").write_text(GRAPH.format(edge_port=min(free_port(), 65000)))
+    (tmp_path / "graph.toml").write_text(
+        GRAPH.format(edge_port=min(free_port(), 65000))
+    )
     with contextlib.ExitStack() as stack:
 
         def start(host, *arguments):
             return stack.enter_context(Program(*arguments, cwd=tmp_path / host))
 
-        for part in [start(h, "launch", "../graph.toml", "--host", h) for h in ("edge", "desk")]:
+        for part in [
+            start(h, "launch", "../graph.toml", "--host", h) for h in ("edge", "desk")
+        ]:
             part.wait_for("[launch] ready")
         note_of_graph(tmp_path / "edge/graphs")
-        code, out, _ = start("edge", "topic", "echo", "/skin/taxels", "-n", "3").finish()
+        code, out, _ = start(
+            "edge", "topic", "echo", "/skin/taxels", "-n", "3"
+        ).finish()
         assert code == 0
         assert out.count("---\n") == 3
         monitor = start("edge", "monitor", "--text")
         monitor.wait_for("[launch] ready")
-        recorded = start("edge", "record", "/skin/measurements", "/skin/phi", "--out", "a.mcap")
+        recorded = start(
+            "edge", "record", "/skin/measurements", "/skin/phi", "--out", "a.mcap"
+        )
         path = tmp_path / "edge/a.mcap.part"
-        wait_until(lambda: path.exists() and path.stat().st_size > N_BYTES, "a recording")
+        wait_until(
+            lambda: path.exists() and path.stat().st_size > N_BYTES, "a recording"
+        )
         for program in (recorded, monitor):
             program.process.send_signal(signal.SIGINT)
         assert recorded.finish()[0] == 0

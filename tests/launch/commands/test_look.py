@@ -34,7 +34,9 @@ def test_columns_are_shown_where_the_times_are_not_clear(tmp_path, monkeypatch, 
     assert main(["recording", "look", "log.csv"]) == 2
     shown = capsys.readouterr()
     assert "4 columns" in shown.out
-    assert "state --time 1, --time 2 or, if these are no times, --time none" in shown.err
+    assert (
+        "state --time 1, --time 2 or, if these are no times, --time none" in shown.err
+    )
 
 
 def test_the_command_that_is_printed_imports_the_file_as_it_was_shown(log, capsys):
@@ -70,13 +72,17 @@ def test_an_error_spells_what_is_missing_as_an_option(log, capsys):
 def test_further_channels_are_kept_as_patches_with_their_sign(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     names = [f"p{k}_{axis}" for k in range(4) for axis in "xyz"]
-    rows = [[-k - 1.0, 0.5 * k, 10.0 * k + frame] for frame in range(3) for k in range(4)]
+    rows = [
+        [-k - 1.0, 0.5 * k, 10.0 * k + frame] for frame in range(3) for k in range(4)
+    ]
     values = np.reshape(rows, (3, 12))
     header = ",".join(["time_s", *names])
     table = np.column_stack([0.02 * np.arange(3), values])
     np.savetxt("three.csv", table, delimiter=",", header=header, comments="")
     stated = ["--n-rows", "2", "--n-cols", "2", "--unit", "N", "--keep", "x,y"]
-    assert main(["recording", "import", "three.csv", "--out", "three.mcap", *stated]) == 0
+    assert (
+        main(["recording", "import", "three.csv", "--out", "three.mcap", *stated]) == 0
+    )
     for patch, channel in (("skin", 2), ("skin_x", 0), ("skin_y", 1)):
         read = sparseskin.read_recording("three.mcap", patch=patch)["forces"]
         np.testing.assert_allclose(read.reshape(3, 4), values[:, channel::3])

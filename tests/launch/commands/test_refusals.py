@@ -98,7 +98,11 @@ def files(tmp_path_factory):
     ("line", "fault"),
     [
         *LINES.items(),
-        *((f"{line} {more}", fault) for line, of in FAULTS.items() for more, fault in of.items()),
+        *(
+            (f"{line} {more}", fault)
+            for line, of in FAULTS.items()
+            for more, fault in of.items()
+        ),
     ],
 )
 def test_a_command_is_refused_in_one_line(line, fault, files, monkeypatch, capsys):

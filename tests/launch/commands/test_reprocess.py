@@ -33,7 +33,9 @@ def maps(path, kind):
 
 
 @pytest.mark.parametrize("start_from", ["auto", "taxels"])
-def test_the_same_settings_give_the_same_bits_and_stamps(recording, tmp_path, start_from):
+def test_the_same_settings_give_the_same_bits_and_stamps(
+    recording, tmp_path, start_from
+):
     out = tmp_path / "out.mcap"
     summary = tmp_path / "out.json"
     more = ["--from", start_from, "--summary", str(summary)]
@@ -44,7 +46,9 @@ def test_the_same_settings_give_the_same_bits_and_stamps(recording, tmp_path, st
 
 
 @pytest.mark.parametrize("change", ["reconstructor.iterations=5", "compressor.ratio=4"])
-def test_other_settings_give_another_reconstruction_of_the_same_frames(recording, tmp_path, change):
+def test_other_settings_give_another_reconstruction_of_the_same_frames(
+    recording, tmp_path, change
+):
     out = tmp_path / "out.mcap"
     assert main(["reprocess", str(recording), "--out", str(out), "--set", change]) == 0
     old = maps(recording, Reconstruction)
@@ -54,7 +58,9 @@ def test_other_settings_give_another_reconstruction_of_the_same_frames(recording
     assert maps(out, Taxels) == maps(recording, Taxels)
 
 
-def test_iterations_that_followed_from_a_host_are_those_of_the_recording(recording, tmp_path):
+def test_iterations_that_followed_from_a_host_are_those_of_the_recording(
+    recording, tmp_path
+):
     """A budget that nothing fits into leaves one iteration on any host."""
     few = tmp_path / "few.mcap"
     again = tmp_path / "again.mcap"
@@ -73,7 +79,14 @@ def test_in_several_processes_the_bits_are_the_same(recording, tmp_path):
     twin.write_bytes(recording.read_bytes())
     out = tmp_path / "out"
     out.mkdir()
-    arguments = [str(recording), str(twin), "--out", str(out), "--executor", "process:2"]
+    arguments = [
+        str(recording),
+        str(twin),
+        "--out",
+        str(out),
+        "--executor",
+        "process:2",
+    ]
     assert main(["reprocess", *arguments]) == 0
     for name in ("box.mcap", "twin.mcap"):
         assert maps(out / name, Reconstruction) == maps(recording, Reconstruction)

@@ -99,13 +99,18 @@ def test_each_host_lets_in_the_others_by_default_and_else_those_on_the_list():
 
 def test_without_a_host_the_command_names_them_and_starts_nothing(capsys):
     assert main(["launch", write(TWO)]) == 2
-    assert capsys.readouterr().err == "f: several hosts: choose one with --host (edge, desk)\n"
+    assert (
+        capsys.readouterr().err
+        == "f: several hosts: choose one with --host (edge, desk)\n"
+    )
     assert main(["launch", "f.toml", "--host", "egde"]) == 2
     assert "has no such host (did you mean 'edge'?)" in capsys.readouterr().err
     assert main(["launch", "path_40", "--host", "edge"]) == 2
     assert "path_40 has no tables [hosts.NAME]" in capsys.readouterr().err
     assert main(["launch", "f.toml", "--dry-run"]) == 0
-    assert "compressor at tcp://192.168.1.10:5701" in " ".join(capsys.readouterr().out.split())
+    assert "compressor at tcp://192.168.1.10:5701" in " ".join(
+        capsys.readouterr().out.split()
+    )
 
 
 def test_an_address_that_others_reach_is_refused_without_keys(capsys):
@@ -118,14 +123,20 @@ def test_an_address_that_others_reach_is_refused_without_keys(capsys):
     assert "insecure = true in [graph]" in lines[0]
     # Where it is stated, or nobody can reach it:
     assert load(write(NO_KEYS.replace("[graph]", "[graph]\ninsecure = true"))).insecure
-    local = NO_KEYS.replace("192.168.1.10", "127.0.0.1").replace("192.168.1.20", "127.0.0.2")
+    local = NO_KEYS.replace("192.168.1.10", "127.0.0.1").replace(
+        "192.168.1.20", "127.0.0.2"
+    )
     assert not load(write(local)).insecure
 
 
 @pytest.mark.parametrize(
     ("old", "new", "line"),
     [
-        ('"192.168.1.10"', '"edge.local"', "5: hosts.edge.address: 'edge.local' is no addr"),
+        (
+            '"192.168.1.10"',
+            '"edge.local"',
+            "5: hosts.edge.address: 'edge.local' is no addr",
+        ),
         (
             'path_40"\nhost = "edge"\n',
             'path_40"\n',
@@ -153,7 +164,9 @@ def test_each_fault_has_its_place(old, new, line):
 def test_a_key_that_is_missing_or_open_to_others_starts_nothing(capsys):
     Path("keys/edge.key").chmod(0o644)
     assert main(["launch", write(TWO), "--host", "edge"]) == 2
-    assert capsys.readouterr().err.startswith("keys/edge.key: mode 0644 lets other users read")
+    assert capsys.readouterr().err.startswith(
+        "keys/edge.key: mode 0644 lets other users read"
+    )
     Path("keys/edge.key").unlink()
     assert main(["launch", "f.toml", "--host", "edge"]) == 2
     assert "(make one: sparseskin keys make edge)" in capsys.readouterr().err
@@ -164,7 +177,9 @@ def test_a_key_that_is_missing_or_open_to_others_starts_nothing(capsys):
 
 def test_a_graph_of_one_host_names_its_key():
     one = '[security]\nkeys = "keys"\n[nodes.sensor]\ntype = "sensor"\nsource = "scene:path_40"\n'
-    assert faults(one) == ["f.toml:1: security.key: expected the name of this graph's key, a text"]
+    assert faults(one) == [
+        "f.toml:1: security.key: expected the name of this graph's key, a text"
+    ]
     launch = load(write(one.replace('"keys"', '"keys"\nkey = "edge"'))).part(None)
     assert list(launch.credentials.allowed.values()) == ["edge"]
 
@@ -214,8 +229,16 @@ def test_equal_patches_are_one_batch_of_four_nodes():
     assert list(launch.nodes) == ["sensor", "compressor", "reconstructor", "monitor"]
     sensor = launch.nodes["sensor"].settings
     assert sensor.patches == ("p0", "p1", "p2")
-    assert sensor.simulated == {"n_rows": 12, "n_cols": 64, "pitch_mm": 5.0, "f_max": 2.5}
-    assert (sensor.rate_hz, launch.nodes["monitor"].settings.all_patches) == (20, sensor.patches)
+    assert sensor.simulated == {
+        "n_rows": 12,
+        "n_cols": 64,
+        "pitch_mm": 5.0,
+        "f_max": 2.5,
+    }
+    assert (sensor.rate_hz, launch.nodes["monitor"].settings.all_patches) == (
+        20,
+        sensor.patches,
+    )
     assert {link.topic for link in launch.links if link.reader == "reconstructor"} == {
         *("/body/skin", "/body/phi", "/body/measurements")
     }
@@ -223,18 +246,28 @@ def test_equal_patches_are_one_batch_of_four_nodes():
 
 def test_patches_of_a_body_file_are_served_in_batches_of_equal_ones(body):
     launch = load("body", ["skin.body=body.toml"])
-    patches = {n: s.settings.patches for n, s in launch.nodes.items() if s.type_name != "monitor"}
+    patches = {
+        n: s.settings.patches
+        for n, s in launch.nodes.items()
+        if s.type_name != "monitor"
+    }
     assert patches == {
         f"{node}_{k}": names
         for node in ("sensor", "compressor", "reconstructor")
-        for k, names in enumerate((("left_palm", "right_palm"), ("forearm",), ("sole",)), 1)
+        for k, names in enumerate(
+            (("left_palm", "right_palm"), ("forearm",), ("sole",)), 1
+        )
     }
     forearm, sole = (launch.nodes[f"sensor_{k}"].settings for k in (2, 3))
     assert forearm.address().n_taxels() == 69
     assert launch.nodes["monitor"].settings.poses == {"forearm": [0, 40.5, 0, 0, 0, 90]}
     assert (forearm.simulated["noise"], forearm.simulated["pitch_mm"]) == (0.01, 5.0)
     assert sole.simulated == {"n_rows": 6, "n_cols": 10, "f_max": 5.0, "pitch_mm": 8.0}
-    assert [launch.nodes[f"compressor_{k}"].settings.ratio for k in (1, 2, 3)] == [3, 3, 2]
+    assert [launch.nodes[f"compressor_{k}"].settings.ratio for k in (1, 2, 3)] == [
+        3,
+        3,
+        2,
+    ]
     assert launch.nodes["monitor"].settings.all_patches == (
         *("left_palm", "right_palm", "forearm", "sole"),
     )
@@ -244,9 +277,9 @@ def test_frames_of_all_patches_reach_the_monitor(body):
     bus = launched("body", "skin.body=body.toml")
     bus.run(3)
     patches = bus.reports()["monitor"]["patches"]
-    assert {name: patch["frames"]["reconstructed"] for name, patch in patches.items()} == (
-        dict.fromkeys(("left_palm", "right_palm", "forearm", "sole"), 3)
-    )
+    assert {
+        name: patch["frames"]["reconstructed"] for name, patch in patches.items()
+    } == (dict.fromkeys(("left_palm", "right_palm", "forearm", "sole"), 3))
     assert (patches["sole"]["f_max"], patches["forearm"]["n"]) == (5.0, 69)
 
 
@@ -256,8 +289,13 @@ def test_a_batch_has_at_most_as_many_patches_as_stated_and_as_a_message_holds():
         return [len(batch.patches) for batch in batches]
 
     assert (sizes(patches=10, batch=4), sizes(patches=244)) == ([4, 4, 2], [244])
-    assert (sizes(patches=300), sizes(patches=5, n_rows=512, n_cols=1024)) == ([256, 44], [2, 2, 1])
-    names = [b.name for b in read_skin({"patches": 9, "batch": 5}, Path(), lambda *_: None)]
+    assert (sizes(patches=300), sizes(patches=5, n_rows=512, n_cols=1024)) == (
+        [256, 44],
+        [2, 2, 1],
+    )
+    names = [
+        b.name for b in read_skin({"patches": 9, "batch": 5}, Path(), lambda *_: None)
+    ]
     assert names == ["body_1", "body_2"]
     assert isinstance(read_skin({"patches": 1}, Path(), lambda *_: None)[0], Batch)
 
@@ -288,7 +326,10 @@ def test_a_fault_of_a_body_file_is_one_line_with_its_place(body, before, after, 
         (["skin.patchs=3"], "unknown key (did you mean 'patches'?)"),
         (["skin.n_rows=5000"], "--set skin.n_rows=5000: 5000 is outside 1..4096"),
         (["skin.patches=200", "skin.batch=2"], "301 nodes; at most 256 are allowed"),
-        (["sensor.source=scene:hugs"], "no scene is called 'hugs' (did you mean 'hug'?)"),
+        (
+            ["sensor.source=scene:hugs"],
+            "no scene is called 'hugs' (did you mean 'hug'?)",
+        ),
     ],
 )
 def test_a_fault_of_the_table_or_of_a_node_is_one_line(overrides, line):

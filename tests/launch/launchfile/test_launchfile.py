@@ -86,7 +86,9 @@ RECONSTRUCTOR = "f.toml:11: nodes.reconstructor: "
 @pytest.fixture
 def own_modules(tmp_path, monkeypatch):
     """A driver that must not be imported, a Phi, and a solver."""
-    (tmp_path / "driver_of_check.py").write_text("def frames(): yield\nraise SystemExit\n")
+    (tmp_path / "driver_of_check.py").write_text(
+        "def frames(): yield\nraise SystemExit\n"
+    )
     phi = "from sparseskin.nodes.compressor.phi.sbhe import SbhePhi\nclass Own(SbhePhi): pass\n"
     (tmp_path / "phi_of_check.py").write_text(phi)
     solver = (
@@ -125,12 +127,18 @@ def own_modules(tmp_path, monkeypatch):
     ],
 )
 def test_faults_between_nodes_are_found_before_any_starts(check, overrides, lines):
-    assert check(GOOD, *overrides) == [line.format(f"--set {overrides[0]}") for line in lines]
+    assert check(GOOD, *overrides) == [
+        line.format(f"--set {overrides[0]}") for line in lines
+    ]
 
 
 def test_all_faults_of_a_node_are_reported_but_none_that_follows_from_another(check):
-    text = GOOD.replace("iterations = 20", 'depth = -1\nlambda_n = 1\npreset = "papr"\nfast = "no"')
-    assert check(text, "compressor.ratio=2000", "compressor.block=33", "sensor.noise=-1") == [
+    text = GOOD.replace(
+        "iterations = 20", 'depth = -1\nlambda_n = 1\npreset = "papr"\nfast = "no"'
+    )
+    assert check(
+        text, "compressor.ratio=2000", "compressor.block=33", "sensor.noise=-1"
+    ) == [
         "--set sensor.noise=-1: -1.0 is outside 0.0..100.0",
         "--set compressor.block=33: 33 is not a power of two (1, 2, 4 ...)",
         "f.toml:13: nodes.reconstructor.depth: -1 is outside 0..1000",
@@ -174,16 +182,28 @@ def test_options_are_those_that_the_solver_has(check):
         f"f.toml:18: nodes.reconstructor.options.n_rounds: [] {kinds}",
     ]
     Path("f.toml").write_text(WITH_OPTION)
-    reconstructor = load("f.toml", ["reconstructor.options.seed=2"]).nodes["reconstructor"]
+    reconstructor = load("f.toml", ["reconstructor.options.seed=2"]).nodes[
+        "reconstructor"
+    ]
     assert reconstructor.settings.options == {"n_rounds": 30, "seed": 2}
-    chosen = {"solver": SOLVER, "basis": "haar", "iterations": 20, "n_rounds": 30, "seed": 2}
+    chosen = {
+        "solver": SOLVER,
+        "basis": "haar",
+        "iterations": 20,
+        "n_rounds": 30,
+        "seed": 2,
+    }
     assert reconstructor.settings.chosen() == chosen
 
 
 def test_a_topic_has_one_writer_and_every_reader_has_one(check):
     twice = GOOD + '\n[nodes.second]\ntype = "sensor"\n'
-    assert check(twice) == ["f.toml: second: writes /skin/skin, which sensor writes too"]
-    (line,) = check(GOOD.replace('type = "compressor"', 'type = "compressor"\npatch = "left"'))
+    assert check(twice) == [
+        "f.toml: second: writes /skin/skin, which sensor writes too"
+    ]
+    (line,) = check(
+        GOOD.replace('type = "compressor"', 'type = "compressor"\npatch = "left"')
+    )
     assert line.startswith("f.toml: compressor: reads /left/skin, which no node writes")
 
 
@@ -207,12 +227,17 @@ def test_a_mutated_launch_file_is_used_or_refused_in_lines(tmp_path_factory, dat
 
 def test_a_recording_in_a_read_only_folder_is_refused(capsys, tmp_path, monkeypatch):
     out = tmp_path / "a.mcap"
-    monkeypatch.setattr("os.access", lambda path, mode: path != tmp_path)  # root may write anywhere
+    monkeypatch.setattr(
+        "os.access", lambda path, mode: path != tmp_path
+    )  # root may write anywhere
     assert main(["launch", "path_40", "--record", str(out)]) == 2
     assert capsys.readouterr() == ("", f"--record: {out}: cannot be written to\n")
 
 
-REPLAYED = {"replay": "sensor.source=file:PATH", "replay_measurements": "player.file=PATH.mcap"}
+REPLAYED = {
+    "replay": "sensor.source=file:PATH",
+    "replay_measurements": "player.file=PATH.mcap",
+}
 
 
 @pytest.mark.parametrize(("name", "hint"), REPLAYED.items())
@@ -222,8 +247,12 @@ def test_a_launch_file_without_its_recording_is_refused_with_a_hint(name, hint):
     place = hint.partition("=")[0]
     assert f": nodes.{place}: " in line
     missing = f"{place}={'file:' if 'sensor' in place else ''}missing.mcap"
-    assert launch_faults(name, [missing]) == [f"--set {missing}: missing.mcap: no such file"]
-    (line,) = launch_faults("replay", ["sensor.skin=a.toml"])  # one of the recording follows
+    assert launch_faults(name, [missing]) == [
+        f"--set {missing}: missing.mcap: no such file"
+    ]
+    (line,) = launch_faults(
+        "replay", ["sensor.skin=a.toml"]
+    )  # one of the recording follows
     assert line == "--set sensor.skin=a.toml: a.toml: no such file"
 
 
@@ -231,19 +260,28 @@ def test_a_launch_file_without_its_recording_is_refused_with_a_hint(name, hint):
 def test_names_of_the_launchers_own_are_refused(tmp_path, name):
     path = tmp_path / "g.toml"
     path.write_text(f'[nodes.{name}]\ntype = "sensor"\n')
-    with pytest.raises(LaunchError, match=rf"g.toml:1: nodes.{name}: 'launch' and 'live_recorder_"):
+    with pytest.raises(
+        LaunchError, match=rf"g.toml:1: nodes.{name}: 'launch' and 'live_recorder_"
+    ):
         load(str(path))
 
 
 def test_set_states_the_keys_of_the_graph(tmp_path):
     changes = ["transport=tcp", "insecure=true", "log_dir=logs", "restart=on-failure"]
-    changes += ["max_restarts=2", "hang_s=3", "restart_delay_s=1", "description=two words"]
+    changes += [
+        "max_restarts=2",
+        "hang_s=3",
+        "restart_delay_s=1",
+        "description=two words",
+    ]
     (tmp_path / "f.toml").write_text(GOOD.partition("\n\n")[2])
     launch = load(str(tmp_path / "f.toml"), [f"graph.{change}" for change in changes])
     assert (launch.transport, launch.insecure, launch.log_dir) == ("tcp", True, "logs")
     assert launch.description == "two words"
     for node in launch.nodes.values():
-        assert node.restart == RestartPolicy("on-failure", 2, restart_delay_s=1, hang_s=3)
+        assert node.restart == RestartPolicy(
+            "on-failure", 2, restart_delay_s=1, hang_s=3
+        )
 
 
 @pytest.mark.parametrize(
@@ -262,7 +300,12 @@ def test_a_wrong_set_of_the_graph_is_refused(check, change, what):
 def test_cpus_and_priority_are_of_the_graph_or_of_a_node(tmp_path):
     path = tmp_path / "f.toml"
     path.write_text(GOOD)
-    changes = ["graph.cpus=[0]", "graph.priority=5", "sensor.priority=0", "monitor.cpus=[1, 0]"]
+    changes = [
+        "graph.cpus=[0]",
+        "graph.priority=5",
+        "sensor.priority=0",
+        "monitor.cpus=[1, 0]",
+    ]
     nodes = load(str(path), changes).nodes
     assert nodes["sensor"].scheduling == Scheduling((0,))
     assert nodes["compressor"].scheduling == Scheduling((0,), 5)
@@ -274,15 +317,31 @@ def test_nodes_that_may_not_be_scheduled_are_refused(tmp_path, monkeypatch, caps
     monkeypatch.setattr(os, "sched_getaffinity", lambda pid: {0, 1})
     monkeypatch.chdir(tmp_path)
     Path("f.toml").write_text(GOOD)
-    assert main(["launch", "f.toml", "--set", "graph.cpus=[0, 7]", "--set", "sensor.cpus=[1]"]) == 2
+    assert (
+        main(
+            [
+                "launch",
+                "f.toml",
+                "--set",
+                "graph.cpus=[0, 7]",
+                "--set",
+                "sensor.cpus=[1]",
+            ]
+        )
+        == 2
+    )
     nodes = ", ".join(name for name in load("f.toml").nodes if name != "sensor")
     assert capsys.readouterr().err == (
         f"f.toml: {nodes}: cpus: CPU 7 is not there for this process (allowed: 0, 1)\n"
     )
 
 
-@pytest.mark.parametrize("source", ['file:whole.npy"\n#"', 'file:a.csv"\nn_rows = 6\nunit = "N'])
-def test_m_that_the_skin_of_a_source_does_not_allow_is_refused_before_the_start(check, source):
+@pytest.mark.parametrize(
+    "source", ['file:whole.npy"\n#"', 'file:a.csv"\nn_rows = 6\nunit = "N']
+)
+def test_m_that_the_skin_of_a_source_does_not_allow_is_refused_before_the_start(
+    check, source
+):
     frames = np.full((9, 6, 8), 0.5, np.float32)
     np.save("whole.npy", frames)
     np.savetxt("a.csv", frames.reshape(9, -1), delimiter=",", fmt="%.2f")
@@ -295,15 +354,33 @@ def test_m_that_the_skin_of_a_source_does_not_allow_is_refused_before_the_start(
 @pytest.mark.parametrize(
     ("text", "line"),
     [
-        ("\n[graph]\ndescription = " + "9" * 5000, ":3: not TOML: a whole number beyond 64 bits"),
-        ("[graph]\ndescription = 0x" + "f" * 5000, "graph.description: a whole number beyond 64"),
-        ("".join(f"[t{k}]\n" for k in range(200_000)), f"more than {MAX_CHARS} characters"),
-        ("\n[graph]\na" + ".a" * 9000 + " = 1", ":3: not TOML: a key of more than 100 parts"),
+        (
+            "\n[graph]\ndescription = " + "9" * 5000,
+            ":3: not TOML: a whole number beyond 64 bits",
+        ),
+        (
+            "[graph]\ndescription = 0x" + "f" * 5000,
+            "graph.description: a whole number beyond 64",
+        ),
+        (
+            "".join(f"[t{k}]\n" for k in range(200_000)),
+            f"more than {MAX_CHARS} characters",
+        ),
+        (
+            "\n[graph]\na" + ".a" * 9000 + " = 1",
+            ":3: not TOML: a key of more than 100 parts",
+        ),
         ("a" + ".a" * 50 + " = 1", "more than 8 tables or lists in each other"),
         ("a = " + "[" * 900 + "]" * 900, "more than 8 tables or lists"),
-        ("".join(f"[nodes.n{k}]\n" for k in range(3000)), f"3000 nodes; at most {MAX_NODES}"),
+        (
+            "".join(f"[nodes.n{k}]\n" for k in range(3000)),
+            f"3000 nodes; at most {MAX_NODES}",
+        ),
         ("[graph]\ntransport = 'x" + "y" * 60_000 + "'", "graph.transport: 'xyyy"),
-        ("".join(f"a{k} = 1\n" for k in range(6000)), "g.toml: perhaps more; these come first"),
+        (
+            "".join(f"a{k} = 1\n" for k in range(6000)),
+            "g.toml: perhaps more; these come first",
+        ),
         ("[nodes.n]\ntype = '\\u001b[2J'".replace("'", '"'), r"\x1b[2J"),
     ],
 )
@@ -320,8 +397,15 @@ def test_a_dry_run_shows_the_graph(capsys):
     assert main(["launch", "path_40", "--dry-run"]) == 0
     out = capsys.readouterr().out
     assert out.rstrip() == graph_text(load("path_40"))
-    (line,) = (line for line in out.splitlines() if line.startswith("/skin/measurements "))
-    assert line.split() == ["/skin/measurements", "compressor", "reconstructor,", "monitor"]
+    (line,) = (
+        line for line in out.splitlines() if line.startswith("/skin/measurements ")
+    )
+    assert line.split() == [
+        "/skin/measurements",
+        "compressor",
+        "reconstructor,",
+        "monitor",
+    ]
     assert "\ntransport ipc\n" in out
     changes = ["graph.transport=tcp", "graph.cpus=[1, 0]", "sensor.priority=7"]
     text = " ".join(graph_text(load("path_40", changes)).split())

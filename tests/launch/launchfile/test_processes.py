@@ -24,7 +24,9 @@ def test_nodes_that_name_one_process_share_it_and_one_alone_is_refused(names):
     alone = [n for n, p in zip(NODES, names, strict=True) if p and names.count(p) == 1]
     if alone:
         lines = launch_faults("path_40", changes)
-        assert [line.partition(".")[0] for line in lines] == [f"--set {n}" for n in alone]
+        assert [line.partition(".")[0] for line in lines] == [
+            f"--set {n}" for n in alone
+        ]
         assert all("has this node alone" in line for line in lines)
         return
     groups = by_process(load("path_40", changes).nodes.values())
@@ -36,14 +38,24 @@ def test_nodes_that_name_one_process_share_it_and_one_alone_is_refused(names):
 
 
 def test_the_graph_states_one_for_all_but_a_recorder_of_the_command_line():
-    launch = load("path_40", ["graph.process=all", "monitor.process="], record="run.mcap")
-    groups = [[spec.name for spec in group] for group in by_process(launch.nodes.values())]
-    assert groups == [["sensor", "compressor", "reconstructor"], ["monitor"], ["recorder"]]
+    launch = load(
+        "path_40", ["graph.process=all", "monitor.process="], record="run.mcap"
+    )
+    groups = [
+        [spec.name for spec in group] for group in by_process(launch.nodes.values())
+    ]
+    assert groups == [
+        ["sensor", "compressor", "reconstructor"],
+        ["monitor"],
+        ["recorder"],
+    ]
     assert "process = 'all'" in graph_text(launch)
 
 
 @given(
-    st.sampled_from([f.name for kind in (Scheduling, RestartPolicy) for f in fields(kind)]),
+    st.sampled_from(
+        [f.name for kind in (Scheduling, RestartPolicy) for f in fields(kind)]
+    ),
     st.sampled_from(NODES[1:]),
 )
 def test_what_is_of_the_process_is_the_same_for_its_nodes(key, node):
@@ -61,8 +73,12 @@ def test_nodes_on_different_hosts_share_no_process(tmp_path):
         text = text.replace(f"[nodes.{node}]", f'[nodes.{node}]\nhost = "{host}"')
     path = tmp_path / "hosts.toml"
     path.write_text(text + HOSTS)
-    changes = [f"{node}.process={'edge' if node in NODES[:2] else 'desk'}" for node in NODES]
-    assert [len(group) for group in by_process(load(str(path), changes).nodes.values())] == [2, 2]
+    changes = [
+        f"{node}.process={'edge' if node in NODES[:2] else 'desk'}" for node in NODES
+    ]
+    assert [
+        len(group) for group in by_process(load(str(path), changes).nodes.values())
+    ] == [2, 2]
     of_graph = load(str(path), ["graph.process=all"]).nodes
     assert [len(group) for group in by_process(of_graph.values())] == [2, 2]
     changes[2] = "reconstructor.process=edge"

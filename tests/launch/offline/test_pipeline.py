@@ -67,11 +67,15 @@ class Listener(Node):
 
 
 def _frame(patch, stamp_ns):
-    return Truth(stamp_ns=stamp_ns, patch=patch, forces=np.ones((1, 1), dtype=np.float32))
+    return Truth(
+        stamp_ns=stamp_ns, patch=patch, forces=np.ones((1, 1), dtype=np.float32)
+    )
 
 
 def _nodes(source=Frames):
-    return {cls.__name__.lower(): (cls, Settings()) for cls in (source, Again, Listener)}
+    return {
+        cls.__name__.lower(): (cls, Settings()) for cls in (source, Again, Listener)
+    }
 
 
 def test_listeners_receive_the_same_messages_at_the_same_times_in_a_thread_of_their_own():
@@ -88,7 +92,10 @@ def test_listeners_receive_the_same_messages_at_the_same_times_in_a_thread_of_th
     assert len(listener.notes) == 3 * N_FRAMES
     assert listener.notes == expected.notes
     assert threading.current_thread() not in listener.threads
-    assert pipeline.hosts["listener"].counts.as_dict() == bus.hosts["listener"].counts.as_dict()
+    assert (
+        pipeline.hosts["listener"].counts.as_dict()
+        == bus.hosts["listener"].counts.as_dict()
+    )
 
 
 def test_an_error_of_the_source_is_raised_and_no_thread_is_left():

@@ -23,7 +23,9 @@ class Line:
         self._selector = selectors.DefaultSelector()
         self.unwatch = self._selector.unregister
         self.taken = []
-        self.server = ControlServer(*(self.path, self), *(self._take, lambda node: {"of": node}))
+        self.server = ControlServer(
+            *(self.path, self), *(self._take, lambda node: {"of": node})
+        )
         self._clients = []
 
     def watch(self, fd, on_ready):
@@ -92,7 +94,9 @@ def test_only_watchers_receive_the_state_of_the_graph(line):
     line.server.publish({"graph": {"nodes": []}})
     assert (line.receive(watcher), other.receive()) == ([{"graph": {"nodes": []}}], [])
     watcher.close()
-    wait_until(lambda: (line.serve(), not line.server.watched)[1], "the watcher to leave")
+    wait_until(
+        lambda: (line.serve(), not line.server.watched)[1], "the watcher to leave"
+    )
 
 
 @pytest.mark.parametrize("bad", [b"{", b"[1, 2]", b"", b"\xff\xfe", b"[" * 5000])
@@ -125,7 +129,10 @@ def test_a_watcher_that_does_not_read_holds_up_nobody(line):
         assert line.receive(good) == [state]
         line.server.flush()
     found = []
-    wait_until(lambda: bool(found.extend(deaf.receive() or []) or found), "what it was sent first")
+    wait_until(
+        lambda: bool(found.extend(deaf.receive() or []) or found),
+        "what it was sent first",
+    )
     assert found[0] == state
     assert len(found) < n
 
@@ -138,14 +145,18 @@ def test_one_client_too_many_is_turned_away_until_another_leaves(line):
     turned_away = line.client()
     wait_until(lambda: line.is_left(turned_away), "the client to be turned away")
     clients[3].close()
-    wait_until(lambda: (line.serve(), len(line.server._clients))[1] < MAX_CLIENTS, "room")
+    wait_until(
+        lambda: (line.serve(), len(line.server._clients))[1] < MAX_CLIENTS, "room"
+    )
     client = line.client()
     client.send({"id": "1"})
     assert line.receive(client) == [{"answer": {"id": "1"}}]
 
 
 def test_the_user_alone_may_connect_to_one_graph_and_learns_that_it_is_gone(line):
-    with pytest.raises(GraphError, match="a graph listens there; SPARSESKIN_RUNTIME_DIR names"):
+    with pytest.raises(
+        GraphError, match="a graph listens there; SPARSESKIN_RUNTIME_DIR names"
+    ):
         Line(Path(line.path))
     client = line.client()
     assert stat.S_IMODE(Path(line.path).stat().st_mode) == 0o600

@@ -11,7 +11,9 @@ from sparseskin.launch.run.launcher import Launcher
 from sparseskin.launch.run.state import graph_description, graph_state
 from sparseskin.launch.run.waiting import late_at_end, waits_for
 
-RESTART = 'restart = "on-failure"\nrestart_delay_s = 2.0\nmax_restarts = 2\nhang_s = 10.0'
+RESTART = (
+    'restart = "on-failure"\nrestart_delay_s = 2.0\nmax_restarts = 2\nhang_s = 10.0'
+)
 
 
 #: Wording of the launcher, in one place; the tests state which of these is logged, and when.
@@ -110,7 +112,10 @@ def test_a_node_is_connected_to_its_writers(stage):
     (command,) = played.received("reconstructor")
     assert command["command"] == "connect"
     assert [peer["writer"] for peer in command["peers"]] == ["compressor", "sensor"]
-    assert [peer["endpoint"] for peer in command["peers"]] == ["ipc:///compressor", "ipc:///sensor"]
+    assert [peer["endpoint"] for peer in command["peers"]] == [
+        "ipc:///compressor",
+        "ipc:///sensor",
+    ]
 
 
 def test_a_node_that_is_ready_runs_and_is_paused_or_silent_as_it_says(stage):
@@ -152,9 +157,12 @@ def test_what_is_no_event_is_logged(stage):
 
 
 @pytest.mark.parametrize(
-    ("required", "exit_code", "late_code"), [(True, EXIT_FAILED, 0), (False, 0, EXIT_FAILED)]
+    ("required", "exit_code", "late_code"),
+    [(True, EXIT_FAILED, 0), (False, 0, EXIT_FAILED)],
 )
-def test_a_node_that_dies_ends_the_graph_that_needs_it(stage, required, exit_code, late_code):
+def test_a_node_that_dies_ends_the_graph_that_needs_it(
+    stage, required, exit_code, late_code
+):
     played = stage()
     played.run()
     name = "monitor"
@@ -265,7 +273,9 @@ def test_nodes_of_one_process_fail_together(stage):
     played.says("sensor", "error", code=EXIT_FAILED, text="driver")
     played.fleet.serve()
     others = ", ".join(NAMES[1:])
-    assert played.lines == [line("error", "sensor", "driver") + line("of process", others)]
+    assert played.lines == [
+        line("error", "sensor", "driver") + line("of process", others)
+    ]
     assert all(node.failed for node in played.fleet)
 
 
@@ -347,7 +357,9 @@ def test_a_node_that_is_still_starting_is_ended_by_a_signal(stage):
 def test_the_state_of_a_graph_leaves_out_recorders_that_have_ended(stage):
     played = stage()
     played.run()
-    played.heartbeat("compressor", counts={"refused": {"a": 1, "b": 2}, "lost": {"/skin/skin": 4}})
+    played.heartbeat(
+        "compressor", counts={"refused": {"a": 1, "b": 2}, "lost": {"/skin/skin": 4}}
+    )
     played.fleet.serve()
     state = graph_state(played.launch, played.fleet, None)
     assert [node["name"] for node in state["nodes"]] == NAMES
@@ -360,7 +372,9 @@ def test_the_state_of_a_graph_leaves_out_recorders_that_have_ended(stage):
     played.fleet.restarts["live_recorder_1"] = played.fleet.restarts["monitor"]
     assert len(graph_state(played.launch, played.fleet, None)["nodes"]) == 4
     played.node("monitor").ended = True
-    names = [node["name"] for node in graph_state(played.launch, played.fleet, None)["nodes"]]
+    names = [
+        node["name"] for node in graph_state(played.launch, played.fleet, None)["nodes"]
+    ]
     assert names == NAMES[:3]
 
 
@@ -488,7 +502,9 @@ def test_nodes_behind_one_that_is_dead_need_not_drain(launcher):
 
 
 def test_a_summary_has_what_each_node_reports_and_counts(launcher):
-    launcher.says("monitor", "ended", counts={"refused": {}}, report={"n": 7}, clocks={})
+    launcher.says(
+        "monitor", "ended", counts={"refused": {}}, report={"n": 7}, clocks={}
+    )
     launcher.fleet.serve()
     summary = launcher.launcher.summary()
     assert summary["nodes"]["monitor"]["n"] == 7

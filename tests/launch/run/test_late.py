@@ -25,7 +25,12 @@ class FakeNode(SimpleNamespace):
     """Stands in for a `NodeProcess`; `told` are the commands to it, each with its fields."""
 
     def __init__(self, name="", spec=None, **fields):
-        known = {"endpoint": "tcp://127.0.0.1:1", "refusal": "", "code": None, "heard_s": 0.0}
+        known = {
+            "endpoint": "tcp://127.0.0.1:1",
+            "refusal": "",
+            "code": None,
+            "heard_s": 0.0,
+        }
         known |= dict.fromkeys(("ready", "ended", "failed"), False)
         known |= {key: {} for key in ("counts", "report", "heard", "clocks")}
         known |= {"state": {"paused": False}, "lacks": [], "told": []}
@@ -75,7 +80,10 @@ def test_a_host_is_heard_where_all_that_is_read_there_is_and_its_best_known_cloc
     desk, wall = hosts_state(
         PART,
         [
-            FakeNode(heard={"echo": True, "screen": False}, clocks={"desk": (3_000_000, 900_000)}),
+            FakeNode(
+                heard={"echo": True, "screen": False},
+                clocks={"desk": (3_000_000, 900_000)},
+            ),
             FakeNode(heard={"echo": True}, clocks={"desk": (2_500_000, 400_000)}),
         ],
     ).values()
@@ -120,7 +128,9 @@ WAITS = "from another terminal: sparseskin monitor --graph drag, or sparseskin r
         ({}, {}, ""),
     ],
 )
-def test_a_player_that_has_sent_no_frame_reports_which_readers_it_waits_for(stated, fields, line):
+def test_a_player_that_has_sent_no_frame_reports_which_readers_it_waits_for(
+    stated, fields, line
+):
     spec = SimpleNamespace(settings=PlayerSettings(**stated))
     assert waits_for(FakeNode("player", spec, ready=True, **fields), PART) == line
 
@@ -132,7 +142,9 @@ def test_who_holds_up_the_end_is_named_with_what_waits_for_it(start):
     os.kill(program.pid_of("compressor"), signal.SIGSTOP)
     program.process.send_signal(signal.SIGINT)
     told = program.wait_for("[launch] not drained after 5 s: ")
-    assert told.startswith("compressor (has not ended its stream), reconstructor (waits for comp")
+    assert told.startswith(
+        "compressor (has not ended its stream), reconstructor (waits for comp"
+    )
     assert "monitor (waits for compressor, reconstructor)" in told
     program.wait_for("[launch] compressor does not end: SIGTERM")
     program.wait_for("[launch] compressor does not end: SIGKILL")
@@ -145,7 +157,9 @@ class Desk:
 
     def __init__(self, monkeypatch):
         specs = load("path_40").nodes
-        self.nodes = {name: FakeNode(name, spec, ready=True) for name, spec in specs.items()}
+        self.nodes = {
+            name: FakeNode(name, spec, ready=True) for name, spec in specs.items()
+        }
         self.answers = []
         self.own = []
         self.now_s = 100.0
@@ -199,13 +213,25 @@ def test_two_askers_with_one_number_get_their_own_answers(desk):
     ("node", "command", "value", "text"),
     [
         ("sensr", "pause", None, "sensr: no such node (did you mean 'sensor'?)"),
-        ("sensor", "pase", None, "sensor: has no command 'pase' (did you mean 'pause'?)"),
-        ("compressor", "pause", None, "compressor: has no command 'pause' (known: set)"),
+        (
+            "sensor",
+            "pase",
+            None,
+            "sensor: has no command 'pase' (did you mean 'pause'?)",
+        ),
+        (
+            "compressor",
+            "pause",
+            None,
+            "compressor: has no command 'pause' (known: set)",
+        ),
         ("launch", "recrd", True, "launch: recrd: expected the command 'record'"),
         (3, "pause", None, "expected the texts id, node and command"),
     ],
 )
-def test_what_cannot_be_done_is_refused_at_once_and_reports_why(desk, node, command, value, text):
+def test_what_cannot_be_done_is_refused_at_once_and_reports_why(
+    desk, node, command, value, text
+):
     assert desk.refusal(node, command, value).startswith(text)
 
 
@@ -255,7 +281,12 @@ def test_a_flood_of_requests_is_refused_until_some_are_answered(desk):
 def test_the_launcher_answers_for_itself_and_what_is_sent_back_is_short(desk):
     desk.ask("launch", "record", True)
     assert desk.own == [("record", True)]
-    assert desk.answers.pop() == {"id": "7", "node": "launch", "done": True, "text": "recording"}
+    assert desk.answers.pop() == {
+        "id": "7",
+        "node": "launch",
+        "done": True,
+        "text": "recording",
+    }
     long = "x" * 10_000
     desk.ask(long, long, number=long)
     (answer,) = desk.answers
@@ -287,10 +318,14 @@ class Recorded:
     def take(self, step, node=None):
         """A request, "on" or "off", or an event of the recorder, by default of the last one."""
         if step not in ("on", "off"):
-            self.recording.hear(node or self.fleet.nodes[list(self.fleet.nodes)[-1]], step)
+            self.recording.hear(
+                node or self.fleet.nodes[list(self.fleet.nodes)[-1]], step
+            )
             return
         try:
-            self.recording.command("record", step == "on", lambda *said: self.said.append(said))
+            self.recording.command(
+                "record", step == "on", lambda *said: self.said.append(said)
+            )
         except RefusedError as error:
             self.said.append((False, str(error)))
 
@@ -330,14 +365,19 @@ BEGUN, DONE = "recording to OUT", "OUT: 321 messages recorded"
         ("on on", [], [BUSY]),
     ],
 )
-def test_each_request_is_answered_once_and_what_is_on_is_known(recorded, steps, done, refused):
+def test_each_request_is_answered_once_and_what_is_on_is_known(
+    recorded, steps, done, refused
+):
     out = ""
     for step in steps.split():
         recorded.take(step)
         out = recorded.recording.out or out
         for node in recorded.fleet.nodes.values():
             node.report = {"recording": {"n_messages": 321, "error": None}}
-    said = [(ok, re.sub(r"path_40-2[-\d]+\.mcap", "OUT", text)) for ok, text in recorded.said]
+    said = [
+        (ok, re.sub(r"path_40-2[-\d]+\.mcap", "OUT", text))
+        for ok, text in recorded.said
+    ]
     assert [text for is_done, text in said if is_done] == done
     assert [text for is_done, text in said if not is_done] == refused
     ended = steps.split()[-1] in ("ended", "failed", "error") or refused == [OFF]
@@ -363,16 +403,22 @@ def test_why_a_recorder_failed_is_in_the_answer(recorded):
 
 @pytest.mark.parametrize(("name", "value"), [("record", 1), ("recrd", True)])
 def test_any_other_request_is_refused(recorded, name, value):
-    with pytest.raises(RefusedError, match=f"launch: {name}: expected the command 'record', true"):
+    with pytest.raises(
+        RefusedError, match=f"launch: {name}: expected the command 'record', true"
+    ):
         recorded.recording.command(name, value, lambda *said: None)
     assert recorded.fleet.started == []
 
 
-def test_a_file_that_is_there_already_is_not_written_over(recorded, tmp_path, monkeypatch):
+def test_a_file_that_is_there_already_is_not_written_over(
+    recorded, tmp_path, monkeypatch
+):
     monkeypatch.setattr("time.strftime", lambda form: "now")
     name = f"{recorded.recording._launch.name}-now.mcap"
     (tmp_path / name).write_text("precious")
-    with pytest.raises(RefusedError, match=f"record: out: {re.escape(name)}: exists already"):
+    with pytest.raises(
+        RefusedError, match=f"record: out: {re.escape(name)}: exists already"
+    ):
         recorded.recording.command("record", True, lambda *said: None)
     assert (recorded.recording.out, recorded.fleet.started) == (None, [])
     (tmp_path / name).unlink()

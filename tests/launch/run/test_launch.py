@@ -14,7 +14,13 @@ from sparseskin.launch.launchfile.load import BUNDLED
 from sparseskin.messages import Reconstruction
 
 EVERY_FRAME = ("--set", "reconstructor.depth=0")
-SLOWLY = ("--set", "sensor.rate_hz=20", "--set", "reconstructor.iterations=3", *EVERY_FRAME)
+SLOWLY = (
+    "--set",
+    "sensor.rate_hz=20",
+    "--set",
+    "reconstructor.iterations=3",
+    *EVERY_FRAME,
+)
 NONE_MISSING = {"skipped": 0, "quiet": 0, "lost": 0, "unpaired": 0}
 TAP = """
 import numpy as np
@@ -82,9 +88,17 @@ def test_not_one_frame_is_lost_from_the_first_on(start, tmp_path):
     summary = json.loads((tmp_path / "out.json").read_text())
     patch = summary["patches"]["skin"]
     assert patch["frames"] == {"sensed": 1200, "reconstructed": 1200, **NONE_MISSING}
-    found = {key: patch[key] for key in ("scene", "phi", "rows", "basis", "solver", "n", "m")}
+    found = {
+        key: patch[key] for key in ("scene", "phi", "rows", "basis", "solver", "n", "m")
+    }
     assert found == {
-        **{"scene": "path_40", "phi": "sbhe", "rows": "rotating", "basis": "", "solver": "skin"},
+        **{
+            "scene": "path_40",
+            "phi": "sbhe",
+            "rows": "rotating",
+            "basis": "",
+            "solver": "skin",
+        },
         **{"n": 1600, "m": 534},
     }
     assert patch["ratio"] == pytest.approx(1600 / 534)
@@ -107,14 +121,24 @@ def test_not_one_frame_is_lost_from_the_first_on(start, tmp_path):
 @pytest.mark.slow
 def test_over_any_transport_the_forces_are_the_same_bits(start, tmp_path, transport):
     # The solver is made before the first frame is acquired.
-    (tmp_path / "tap.py").write_text(TAP.replace('"recon', '"solver", "taxels", "recon'))
+    (tmp_path / "tap.py").write_text(
+        TAP.replace('"recon', '"solver", "taxels", "recon')
+    )
     bundled = BUNDLED / "lift_wrench_40.toml"
     text = bundled.read_text().replace("[graph]", f'[graph]\ntransport = "{transport}"')
     (tmp_path / "tapped.toml").write_text(text + '\n[nodes.tap]\ntype = "tap:Tap"\n')
     # Live, the host's speed would choose their number.
     iterations = ["reconstructor.iterations=8"]
     _, stderr = start(
-        *("launch", "tapped.toml", "--frames", "150", "--set", *iterations, *EVERY_FRAME),
+        *(
+            "launch",
+            "tapped.toml",
+            "--frames",
+            "150",
+            "--set",
+            *iterations,
+            *EVERY_FRAME,
+        ),
         environment={"SPARSESKIN_FAST": "auto"},
     ).ended()
     assert ("warning: tcp and no keys" in stderr) == (transport == "tcp")
@@ -137,7 +161,9 @@ def test_an_interrupt_drains_the_graph_reports_and_leaves_nothing(start, tmp_pat
     program.process.send_signal(signal.SIGINT)
     stdout, _ = program.ended(130)
     assert "skin: path_40" in stdout
-    frames = json.loads((tmp_path / "out.json").read_text())["patches"]["skin"]["frames"]
+    frames = json.loads((tmp_path / "out.json").read_text())["patches"]["skin"][
+        "frames"
+    ]
     assert (frames["sensed"], program.survivors()) == (frames["reconstructed"], {})
 
 
@@ -149,7 +175,9 @@ def test_a_launcher_that_is_killed_as_it_starts_leaves_nothing(start, sensor):
 
 
 def test_a_node_that_is_killed_is_named_and_the_others_are_ended(start, tmp_path):
-    (tmp_path / "two.toml").write_text(f'{SENSOR}[nodes.compressor]\ntype = "compressor"\n')
+    (tmp_path / "two.toml").write_text(
+        f'{SENSOR}[nodes.compressor]\ntype = "compressor"\n'
+    )
     program = start("launch", "two.toml")
     program.wait_for("[launch] ready")
     os.kill(program.pid_of("sensor"), signal.SIGTERM)
@@ -158,7 +186,9 @@ def test_a_node_that_is_killed_is_named_and_the_others_are_ended(start, tmp_path
     assert program.survivors() == {}
 
 
-def test_a_driver_that_blocks_does_not_outlive_a_killed_launcher(start, sensor, tmp_path):
+def test_a_driver_that_blocks_does_not_outlive_a_killed_launcher(
+    start, sensor, tmp_path
+):
     (tmp_path / "stuck.py").write_text(
         "import numpy as np, sys, time\n"
         "def frames():\n"
@@ -177,9 +207,21 @@ def test_a_graph_that_is_too_slow_loses_frames_counts_them_and_ends(start, tmp_p
     # The first frame is solved when all have been sent: twice what the queues hold.
     (tmp_path / "fast.py").write_text(FAST)
     program = start(
-        *("launch", "replay", "--set", "sensor.source=fast:frames", "--summary", "out.json"),
+        *(
+            "launch",
+            "replay",
+            "--set",
+            "sensor.source=fast:frames",
+            "--summary",
+            "out.json",
+        ),
         *("--set", "sensor.rate_hz=4000"),  # one without a rate waits for its readers
-        *("--set", "reconstructor.solver=fast:Held", "--set", "reconstructor.iterations=1"),
+        *(
+            "--set",
+            "reconstructor.solver=fast:Held",
+            "--set",
+            "reconstructor.iterations=1",
+        ),
     )
     wait_until((tmp_path / "sent").exists, "the last frame")
     (tmp_path / "go").touch()
@@ -189,7 +231,9 @@ def test_a_graph_that_is_too_slow_loses_frames_counts_them_and_ends(start, tmp_p
     assert frames["sensed"] == 4000
     assert frames["lost"] > 0
     missed = [sum(node["lost"].values()) for node in summary["nodes"].values()]
-    assert frames["lost"] == missed[1] + missed[2]  # at the compressor and the reconstructor
+    assert (
+        frames["lost"] == missed[1] + missed[2]
+    )  # at the compressor and the reconstructor
 
 
 def test_readings_outside_the_range_are_clipped_but_not_silently(start, tmp_path):
@@ -201,9 +245,18 @@ def test_readings_outside_the_range_are_clipped_but_not_silently(start, tmp_path
         "    finally:\n"
         "        open('closed', 'w').close()\n"
     )
-    (tmp_path / "state").touch()  # in the place of the default folder of logs: a warning
+    (
+        tmp_path / "state"
+    ).touch()  # in the place of the default folder of logs: a warning
     stdout, stderr = start(
-        *("launch", "replay", "--set", "sensor.source=upside:frames", "--summary", "out.json"),
+        *(
+            "launch",
+            "replay",
+            "--set",
+            "sensor.source=upside:frames",
+            "--summary",
+            "out.json",
+        ),
         *("--frames", "12"),
     ).ended()
     folder = tmp_path / "state" / "sparseskin" / "log"
@@ -220,11 +273,15 @@ def test_readings_outside_the_range_are_clipped_but_not_silently(start, tmp_path
 
 
 def test_a_run_in_which_a_node_raised_errors_is_no_success(start, tmp_path):
-    fails = "    def step(self, message):\n        raise ValueError('\\x1b[2Jno\\x07')\n"
+    fails = (
+        "    def step(self, message):\n        raise ValueError('\\x1b[2Jno\\x07')\n"
+    )
     (tmp_path / "mine.py").write_text(TAP.partition("    def step")[0] + fails)
     number = len((tmp_path / "mine.py").read_text().splitlines())
     text = BUNDLED / "path_40.toml"
-    (tmp_path / "own.toml").write_text(text.read_text() + '\n[nodes.own]\ntype = "mine:Tap"\n')
+    (tmp_path / "own.toml").write_text(
+        text.read_text() + '\n[nodes.own]\ntype = "mine:Tap"\n'
+    )
     stdout, stderr = start(
         *("launch", "own.toml", "--frames", "20", "--summary", "out.json"),
         *("--set", "graph.log_dir=logs", "--set", "monitor.page=false", *EVERY_FRAME),
@@ -241,7 +298,9 @@ def test_a_run_in_which_a_node_raised_errors_is_no_success(start, tmp_path):
     assert all(line.isprintable() for line in log.read_text().split("\n"))
 
 
-def test_modules_beside_a_launch_file_are_found_and_hide_no_installed_ones(start, tmp_path):
+def test_modules_beside_a_launch_file_are_found_and_hide_no_installed_ones(
+    start, tmp_path
+):
     folder = tmp_path / "project"
     folder.mkdir()
     (folder / "tap_beside.py").write_text(TAP.replace("reconstruction", "taxels"))

@@ -22,14 +22,25 @@ NOW_S = 1_700_000_000.125
 
 def test_each_node_has_a_file_and_each_line_its_time(tmp_path):
     log = RunLog(tmp_path / "logs", "drag", NOW_S)
-    for line in ("[sensor] hot", "[my.node-2] a [b] c", "no name", "[sensor] cold", "[x/y] odd"):
+    for line in (
+        "[sensor] hot",
+        "[my.node-2] a [b] c",
+        "no name",
+        "[sensor] cold",
+        "[x/y] odd",
+    ):
         log.write(line, NOW_S)
     log.close()
     assert re.fullmatch(r"drag-\d{8}-\d{6}-" + str(os.getpid()), log.folder.name)
-    found = {path.name: path.read_text().splitlines() for path in log.folder.glob("*.log")}
+    found = {
+        path.name: path.read_text().splitlines() for path in log.folder.glob("*.log")
+    }
     assert found.keys() == {"sensor.log", "my.node-2.log", "launch.log"}
     assert [line.split(" ", 2)[2] for line in found["sensor.log"]] == ["hot", "cold"]
-    assert [line.split(" ", 2)[2] for line in found["launch.log"]] == ["no name", "[x/y] odd"]
+    assert [line.split(" ", 2)[2] for line in found["launch.log"]] == [
+        "no name",
+        "[x/y] odd",
+    ]
     assert found["sensor.log"][0].split()[1] == time_text(NOW_S)
     assert time_text(NOW_S).endswith(".125")
 
@@ -49,7 +60,9 @@ def test_what_a_node_prints_cannot_act_on_terminal_or_log(tmp_path, capsys):
     assert sum(r"\x1b]0;title\x07" in line for line in lines) == 4
 
 
-def test_a_status_is_drawn_where_its_text_changes_and_leaves_out_what_does_not_fit(monkeypatch):
+def test_a_status_is_drawn_where_its_text_changes_and_leaves_out_what_does_not_fit(
+    monkeypatch,
+):
     screen = io.StringIO()
     monkeypatch.setattr(screen, "isatty", lambda: True)
     monkeypatch.setattr(sys, "stderr", screen)
@@ -57,7 +70,11 @@ def test_a_status_is_drawn_where_its_text_changes_and_leaves_out_what_does_not_f
     terminal = Terminal()
     for line in ("one | two", "one | two", "first part | second | third", "x" * 30):
         terminal.status(line)
-    assert screen.getvalue().split("\r\x1b[J") == ["one | two", "first part | second", "x" * 19]
+    assert screen.getvalue().split("\r\x1b[J") == [
+        "one | two",
+        "first part | second",
+        "x" * 19,
+    ]
 
 
 def test_a_full_file_makes_room_and_one_before_it_is_kept(tmp_path, monkeypatch):
@@ -99,7 +116,9 @@ def test_lines_stay_in_the_folder_of_the_run_whatever_is_put_in_its_place(tmp_pa
     assert (kept / "sensor.log").read_text().endswith(" hot\n")
 
 
-def test_a_folder_that_cannot_be_made_or_that_another_has_put_there_is_refused(tmp_path):
+def test_a_folder_that_cannot_be_made_or_that_another_has_put_there_is_refused(
+    tmp_path,
+):
     assert RunLog(tmp_path, "drag", NOW_S).folder.stat().st_mode & 0o077 == 0
     with pytest.raises(LaunchError, match="File exists"):
         RunLog(tmp_path, "drag", NOW_S)
@@ -118,7 +137,14 @@ def test_a_full_disk_keeps_neither_table_nor_summary_back(start, mount_disk, tmp
         "        yield k, np.ones((8, 8))\n"
     )
     program = start(
-        *("launch", "replay", "--set", "sensor.source=wordy:frames", "--summary", "summary.json"),
+        *(
+            "launch",
+            "replay",
+            "--set",
+            "sensor.source=wordy:frames",
+            "--summary",
+            "summary.json",
+        ),
         *("--set", f"graph.log_dir={disk}", "--set", "monitor.page=false"),
     )
     stdout, stderr = program.ended()
@@ -127,7 +153,9 @@ def test_a_full_disk_keeps_neither_table_nor_summary_back(start, mount_disk, tmp
     assert json.loads((tmp_path / "summary.json").read_text())["patches"]
 
 
-def test_folders_are_the_users_own_and_without_a_home_directory_the_remedy_is_named(monkeypatch):
+def test_folders_are_the_users_own_and_without_a_home_directory_the_remedy_is_named(
+    monkeypatch,
+):
     def unknown(*_):
         raise KeyError("uid not found")
 
@@ -138,7 +166,9 @@ def test_folders_are_the_users_own_and_without_a_home_directory_the_remedy_is_na
     monkeypatch.setenv("HOME", "/h")
     assert user_folder("state") == Path("/h/.local/state/sparseskin")
     monkeypatch.delenv("HOME")
-    with pytest.raises(SparseskinError, match="no home directory is known; set XDG_STATE_HOME"):
+    with pytest.raises(
+        SparseskinError, match="no home directory is known; set XDG_STATE_HOME"
+    ):
         user_folder("state")
 
 
@@ -157,7 +187,9 @@ def test_a_run_that_fails_reports_where_its_logs_are(start, tmp_path):
     assert f"logs of the nodes: logs/{folder.name}\n" in stderr
     lines = (folder / "sensor.log").read_text().splitlines()
     said, failure, *trace = (line.split(" ", 2)[2] for line in lines)
-    text = "error: broken:frames: the driver failed: ZeroDivisionError: division by zero"
+    text = (
+        "error: broken:frames: the driver failed: ZeroDivisionError: division by zero"
+    )
     assert (said, failure) == ("a word", f"{text} (broken.py:5)")
     assert trace[0] == "Traceback (most recent call last):"
     assert any(line.endswith('broken.py", line 5, in frames') for line in trace)

@@ -40,7 +40,9 @@ def own_folder(tmp_path, monkeypatch):
 
 
 def graph(name="path_40", pid=7):
-    nodes = {"sensor": RunningNode("sensor", "ipc://@x", ["/skin/skin", "/skin/taxels"])}
+    nodes = {
+        "sensor": RunningNode("sensor", "ipc://@x", ["/skin/skin", "/skin/taxels"])
+    }
     return RunningGraph(name, pid, 123, "[nodes]", nodes)
 
 
@@ -48,7 +50,9 @@ def test_a_graph_is_found_while_it_runs():
     assert running_graphs() == []
     with announced(graph()):
         assert running_graphs() == [graph()]
-        assert choose_graph(None) == choose_graph("path_40") == choose_graph("path_40-7")
+        assert (
+            choose_graph(None) == choose_graph("path_40") == choose_graph("path_40-7")
+        )
         assert is_running(graph())
     assert running_graphs() == []
     assert not is_running(graph())
@@ -77,14 +81,18 @@ def test_which_of_several_graphs_has_to_be_said(tmp_path, monkeypatch, capsys):
     with pytest.raises(GraphError, match="no graph runs"):
         choose_graph(None)
     with announced(graph()), announced(graph(pid=8)), announced(graph("lift", 9)):
-        with pytest.raises(GraphError, match=r"several graphs run.*path_40-7, path_40-8"):
+        with pytest.raises(
+            GraphError, match=r"several graphs run.*path_40-7, path_40-8"
+        ):
             choose_graph("path_40")
         assert choose_graph("lift").pid == 9
         assert choose_graph("path_40-8").pid == choose_graph("8").pid == 8
         with pytest.raises(GraphError, match="--graph lft: no such graph runs"):
             choose_graph("lft")
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr("sparseskin.launch.commands.observers.choose_graph", lambda *_: graph())
+    monkeypatch.setattr(
+        "sparseskin.launch.commands.observers.choose_graph", lambda *_: graph()
+    )
     assert main(["record", "--out", "a.mcap"]) == 2
     assert capsys.readouterr().err == "path_40-7: has just ended\n"
 
@@ -99,7 +107,9 @@ def test_a_graph_that_is_starting_is_waited_for(monkeypatch, capsys):
         with monkeypatch.context() as patch:
             patch.setattr(running.time, "sleep", lambda _: write_note(graph()))
             assert choose_graph("path_40") == graph()
-        assert capsys.readouterr().err == "path_40-7: is starting; waiting until it runs\n"
+        assert (
+            capsys.readouterr().err == "path_40-7: is starting; waiting until it runs\n"
+        )
         assert running_graphs(starting=True) == [graph()]
     monkeypatch.setattr(running, "PATIENCE_S", 0.0)
     with announced(starting):
@@ -110,7 +120,9 @@ def test_a_graph_that_is_starting_is_waited_for(monkeypatch, capsys):
             assert choose_graph(None).pid == 9
 
 
-GRAPH = RunningGraph("path_40", 7, 0, "", {"sensor": RunningNode("sensor", "ipc://x", [])})
+GRAPH = RunningGraph(
+    "path_40", 7, 0, "", {"sensor": RunningNode("sensor", "ipc://x", [])}
+)
 TRIED = """
 import json
 found = []
@@ -182,7 +194,9 @@ def test_a_folder_of_others_is_refused(folder, capsys, monkeypatch, prepare, fau
         assert line.endswith("SPARSESKIN_RUNTIME_DIR names another")
     context = make_context()
     config = {"name": "sensor", "endpoint": f"ipc://{folder}/1.0.sock"}
-    with pytest.raises(SparseskinError, match=f"^{folder}: "):  # nor does a node bind there
+    with pytest.raises(
+        SparseskinError, match=f"^{folder}: "
+    ):  # nor does a node bind there
         Network(context, config, lambda: 0, print)
     context.destroy(linger=0)
     monkeypatch.setenv("SPARSESKIN_RUNTIME_DIR", str(folder / ("x" * 100)))
@@ -191,7 +205,10 @@ def test_a_folder_of_others_is_refused(folder, capsys, monkeypatch, prepare, fau
 
 
 def test_another_user_gets_at_nothing_of_a_running_graph(as_nobody):
-    with tempfile.TemporaryDirectory(prefix="ss-") as name, contextlib.ExitStack() as stack:
+    with (
+        tempfile.TemporaryDirectory(prefix="ss-") as name,
+        contextlib.ExitStack() as stack,
+    ):
         os.chmod(name, 0o755)  # unlike folders of tests, every user may enter it
         words = (*LONG, "--set", "graph.log_dir=logs", "--record", "run.mcap")
         program = stack.enter_context(Program(*words, cwd=Path(name)))
@@ -214,25 +231,36 @@ def test_another_user_gets_at_nothing_of_a_running_graph(as_nobody):
             f"open({name + '/run.mcap.part'!r}, 'r+')",
             f"import os; os.link({name + '/run.mcap.part'!r}, {name + '/mine'!r})",
             f"import os; os.rename({str(logs)!r}, {name + '/mine'!r})",
-            *(f"open('/proc/{pid}/{what}').read()" for pid in pids for what in ("environ", "mem")),
+            *(
+                f"open('/proc/{pid}/{what}').read()"
+                for pid in pids
+                for what in ("environ", "mem")
+            ),
             *(f"import os; os.listdir('/proc/{pid}/fd')" for pid in pids),
             *(f"import os; os.kill({pid}, 0)" for pid in pids),
         ]
         found = json.loads(as_nobody(f"DENIED = {denied!r}\n{TRIED}"))
-        assert dict(zip(denied, found, strict=True)) == dict.fromkeys(denied, "PermissionError")
+        assert dict(zip(denied, found, strict=True)) == dict.fromkeys(
+            denied, "PermissionError"
+        )
         token = url.query.removeprefix("token=")
         assert len(token) > 20
         listed = "import pathlib; print(b' '.join(p.read_bytes() for p in pathlib.Path('/proc')"
         listed += ".glob('[0-9]*/cmdline')).count(b'run_node'))"
         assert int(as_nobody(listed)) >= 5
-        assert as_nobody(listed.replace("run_node", f"{token[:9]}' + b'{token[9:]}")) == "0"
+        assert (
+            as_nobody(listed.replace("run_node", f"{token[:9]}' + b'{token[9:]}"))
+            == "0"
+        )
         for query, status in (("", 403), (f"?{url.query}", 200)):
             ask = f"import http.client as c; p = c.HTTPConnection({url.netloc!r}); "
             ask += f"p.request('GET', '/{query}'); print(p.getresponse().status)"
             assert as_nobody(ask) == str(status)
 
 
-def test_what_a_killed_graph_has_left_is_removed_by_the_next_command(start, tmp_path, monkeypatch):
+def test_what_a_killed_graph_has_left_is_removed_by_the_next_command(
+    start, tmp_path, monkeypatch
+):
     monkeypatch.setenv("DISPLAY", ":0")
     monkeypatch.setenv("BROWSER", "true")  # the program, which shows no page
     program = start(*LONG, "--open")
@@ -247,7 +275,10 @@ def test_what_a_killed_graph_has_left_is_removed_by_the_next_command(start, tmp_
     program.process.communicate()
     # The launcher's note and socket; a node that notices its end first may remove its own.
     left = {path.name for path in folder.iterdir()}
-    assert {f"path_40-{program.process.pid}.json", f"{program.process.pid}.sock"} <= left
+    assert {
+        f"path_40-{program.process.pid}.json",
+        f"{program.process.pid}.sock",
+    } <= left
     monkeypatch.setenv("SPARSESKIN_RUNTIME_DIR", str(folder))
 
     def removed():  # a process that is being killed still holds its socket
@@ -275,15 +306,24 @@ def test_what_others_wrote_stays(folder):
     (folder / "elsewhere").write_text(json.dumps(old | {"name": "link"}))
     (folder / "link-7.json").symlink_to(folder / "elsewhere")
     os.mkfifo(folder / "fifo-7.json")
-    with socket.socket(socket.AF_UNIX) as served, socket.socket(socket.AF_UNIX) as named:
+    with (
+        socket.socket(socket.AF_UNIX) as served,
+        socket.socket(socket.AF_UNIX) as named,
+    ):
         served.bind(str(folder / "8.1.sock"))
         served.listen()
         named.bind(str(folder / "7.mine.sock"))
         (folder / "own-8.json").write_text(json.dumps(old | {"name": "own", "pid": 8}))
         before = {path.name for path in folder.iterdir()}
-        assert (running_graphs(), {path.name for path in folder.iterdir()}) == ([], before)
+        assert (running_graphs(), {path.name for path in folder.iterdir()}) == (
+            [],
+            before,
+        )
     assert running_graphs() == []
-    assert before - {path.name for path in folder.iterdir()} == {"own-8.json", "8.1.sock"}
+    assert before - {path.name for path in folder.iterdir()} == {
+        "own-8.json",
+        "8.1.sock",
+    }
     assert all((folder / name).read_text() == text for name, text in texts.items())
 
 

@@ -23,7 +23,9 @@ ADDRESSES = {"edge": "10.203.7.1", "desk": "10.203.7.2"}
 
 
 def ip(*arguments: str) -> None:
-    done = subprocess.run(["ip", *arguments], capture_output=True, text=True, check=False)
+    done = subprocess.run(
+        ["ip", *arguments], capture_output=True, text=True, check=False
+    )
     if done.returncode:
         raise OSError(f"ip {' '.join(arguments)}: {done.stderr.strip()}")
 
@@ -95,7 +97,9 @@ def write(folder, rate_hz=500, allow=""):
 
 
 def part(start, host, *more):
-    return start("launch", "two.toml", "--host", host, "--summary", f"{host}.json", *more)
+    return start(
+        "launch", "two.toml", "--host", host, "--summary", f"{host}.json", *more
+    )
 
 
 def summary(folder, host):
@@ -103,7 +107,9 @@ def summary(folder, host):
 
 
 @pytest.mark.slow
-def test_a_part_waits_for_the_other_and_no_frame_is_lost_from_the_first_to_the_end(start, tmp_path):
+def test_a_part_waits_for_the_other_and_no_frame_is_lost_from_the_first_to_the_end(
+    start, tmp_path
+):
     write(tmp_path)
     edge = part(start, "edge", "--frames", "300")
     line = edge.wait_for("[launch] sensor waits for a subscription from ")
@@ -122,19 +128,26 @@ def test_a_part_waits_for_the_other_and_no_frame_is_lost_from_the_first_to_the_e
 
 
 @pytest.mark.slow
-def test_a_part_that_is_killed_joins_again_and_receives_latched_messages(start, tmp_path):
+def test_a_part_that_is_killed_joins_again_and_receives_latched_messages(
+    start, tmp_path
+):
     write(tmp_path, rate_hz=100)
     edge = part(start, "edge")
     desk = part(start, "desk")
     desk.wait_for("[recorder] connected: sensor on edge")
     desk.kill_all()
     wait_until(lambda: not desk.survivors(), "the end of all its processes")
-    for left in tmp_path.glob("two.mcap*"):  # complete where the recorder saw its launcher end
+    for left in tmp_path.glob(
+        "two.mcap*"
+    ):  # complete where the recorder saw its launcher end
         left.unlink()
     again = part(start, "desk")
     again.wait_for("[recorder] connected: sensor on edge")
     recorded = tmp_path / "two.mcap.part"
-    wait_until(lambda: recorded.exists() and recorded.stat().st_size > 20_000, "frames in the file")
+    wait_until(
+        lambda: recorded.exists() and recorded.stat().st_size > 20_000,
+        "frames in the file",
+    )
     edge.process.send_signal(signal.SIGINT)
     again.ended(0, 1)
     nodes = summary(tmp_path, "desk")["nodes"]
@@ -150,7 +163,9 @@ def test_a_host_that_is_not_on_the_list_gets_nothing_and_is_named(start, tmp_pat
     edge = part(start, "edge")
     desk = part(start, "desk")
     line = edge.wait_for("[sensor] turned away 127.0.0.1: ")
-    assert line.startswith("its key is that of desk, and not on the list of those allowed")
+    assert line.startswith(
+        "its key is that of desk, and not on the list of those allowed"
+    )
     line = desk.wait_for("cannot connect to sensor on edge")
     assert "does not let this host in" in line
     for program in (edge, desk):
@@ -211,7 +226,9 @@ def finish(folder, edge, desk):
         _, _, stderr = program.finish()
         print(stderr)
         assert "Traceback" not in stderr
-    sent = json.loads((folder / "edge.json").read_text())["nodes"]["sensor"]["published"]
+    sent = json.loads((folder / "edge.json").read_text())["nodes"]["sensor"][
+        "published"
+    ]
     echo = json.loads((folder / "desk.json").read_text())["nodes"]["echo"]
     topic = "/skin/taxels"
     return sent, {"received": echo["received"][topic], "lost": echo["lost"][topic]}
@@ -238,7 +255,9 @@ def test_after_a_cut_the_stream_is_back(hosts, start, tmp_path, record_property)
 
 
 @pytest.mark.slow
-def test_patches_are_reconstructed_where_they_are_and_watched_at_one_place(hosts, start, tmp_path):
+def test_patches_are_reconstructed_where_they_are_and_watched_at_one_place(
+    hosts, start, tmp_path
+):
     (tmp_path / "body.toml").write_text(BODY)
     (tmp_path / "robot.toml").write_text(BODY_GRAPH)
     # On one host in a process each, on the other in one together.
@@ -246,7 +265,9 @@ def test_patches_are_reconstructed_where_they_are_and_watched_at_one_place(hosts
     for program in (edge, half(start, hosts, "desk", "robot.toml")):
         program.ended(0, 1)  # 1: the monitor is on the other host
         assert program.survivors() == {}
-    found = {host: json.loads((tmp_path / f"{host}.json").read_text()) for host in ADDRESSES}
+    found = {
+        host: json.loads((tmp_path / f"{host}.json").read_text()) for host in ADDRESSES
+    }
     # The hands are served by one host, the foot by the other.
     batches = {host: found[host]["nodes"].keys() for host in ADDRESSES}
     assert batches["edge"] == {"sensor_1", "compressor_1", "reconstructor_1"}

@@ -70,7 +70,9 @@ class Unable(Node):
 def contents(path):
     """All messages of a recording by topic and number, without what differs between two runs."""
     with BagReader(path) as bag:
-        messages = [decode(each.topic.encode(), each.payload) for each in bag.messages()]
+        messages = [
+            decode(each.topic.encode(), each.payload) for each in bag.messages()
+        ]
     found = {}
     for message in messages:
         fields = {
@@ -99,7 +101,11 @@ def test_one_process_and_four_record_the_same_bits(start, tmp_path):
         text.replace("[graph]", f'{KEYS}[graph]\ntransport = "tcp"\nprocess = "all"')
     )
     (tmp_path / "drawn.py").write_text(DRAWN)
-    changes = ("sensor.source=drawn:frames", "sensor.rate_hz=0", "reconstructor.iterations=3")
+    changes = (
+        "sensor.source=drawn:frames",
+        "sensor.rate_hz=0",
+        "reconstructor.iterations=3",
+    )
     changes += ("monitor.page=false",)
     for name in ("one", "four"):
         words = [word for change in changes for word in ("--set", change)]
@@ -139,7 +145,9 @@ def in_time(graph, **conditions):
 
     def has_come():
         nodes.update({node["name"]: node for node in describe(graph)["nodes"]})
-        return all(nodes[name]["condition"] == each for name, each in conditions.items())
+        return all(
+            nodes[name]["condition"] == each for name, each in conditions.items()
+        )
 
     wait_until(has_come, str(conditions))
     return nodes
@@ -153,7 +161,9 @@ def test_a_process_is_started_again_with_all_its_nodes_as_they_were(edge, capsys
     in_time(graph, sensor="paused", compressor="running")
     capsys.readouterr()
     assert main(["node", "info", "sensor"]) == 0
-    (line,) = [line for line in capsys.readouterr().out.splitlines() if " process " in line]
+    (line,) = [
+        line for line in capsys.readouterr().out.splitlines() if " process " in line
+    ]
     assert line.split() == [
         *("process", f"{program.pid_of('sensor')}", "on", f"{socket.gethostname()},"),
         *("with", "compressor"),
@@ -190,7 +200,9 @@ def test_a_process_that_hangs_is_killed_once_and_started_again(edge):
     assert program.survivors() == {}
 
 
-def test_a_node_that_crashes_takes_its_process_along_and_words_have_their_speaker(start, tmp_path):
+def test_a_node_that_crashes_takes_its_process_along_and_words_have_their_speaker(
+    start, tmp_path
+):
     (tmp_path / "mine.py").write_text(ABRUPT)
     (tmp_path / "own.toml").write_text(
         '[graph]\nprocess = "all"\nlog_dir = "logs"\n'

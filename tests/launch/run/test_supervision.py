@@ -87,9 +87,15 @@ def test_numbers_of_a_policy_outside_their_range_are_refused(key, low, high):
             RestartPolicy(**{key: refused})
 
 
-@given(st.integers(1, 5), st.floats(1.0, 100.0), st.lists(st.floats(0.0, 50.0), max_size=40))
+@given(
+    st.integers(1, 5),
+    st.floats(1.0, 100.0),
+    st.lists(st.floats(0.0, 50.0), max_size=40),
+)
 def test_no_window_holds_more_restarts_than_are_allowed(max_restarts, window_s, gaps_s):
-    policy = RestartPolicy(ON_FAILURE, max_restarts=max_restarts, restart_window_s=window_s)
+    policy = RestartPolicy(
+        ON_FAILURE, max_restarts=max_restarts, restart_window_s=window_s
+    )
     restarts, done_s, now_s = Restarts(policy), [], 0.0
     for gap_s in gaps_s:
         now_s += gap_s
@@ -119,7 +125,8 @@ def test_a_wrong_key_is_named_with_its_line_and_what_is_allowed(tmp_path, monkey
     text = with_keys("restart_delay_s = nan", sensor='restart = "always"')
     Path("f.toml").write_text(text)
     of_graph, of_node = (
-        text.splitlines().index(key) + 1 for key in ("restart_delay_s = nan", 'restart = "always"')
+        text.splitlines().index(key) + 1
+        for key in ("restart_delay_s = nan", 'restart = "always"')
     )
     not_known = "'always' is not allowed; allowed: never, on-failure"
     assert set(launch_faults("f.toml", ["monitor.max_restarts=0"])) == {
@@ -134,7 +141,13 @@ def launched(start, tmp_path, keys, *arguments):
     (tmp_path / "graph.toml").write_text(with_keys(keys))
     program = start(
         *("launch", "graph.toml", "--frames", "1000", "--summary", "out.json"),
-        *("--set", "monitor.page=false", "--set", "reconstructor.iterations=3", *arguments),
+        *(
+            "--set",
+            "monitor.page=false",
+            "--set",
+            "reconstructor.iterations=3",
+            *arguments,
+        ),
         *("--set", "reconstructor.depth=0"),
     )
     program.wait_for("[launch] ready")
@@ -165,21 +178,39 @@ def killed(program, node):
 
 
 @pytest.mark.slow
-def test_killed_nodes_are_started_again_and_the_graph_goes_on_to_its_end(start, tmp_path):
+def test_killed_nodes_are_started_again_and_the_graph_goes_on_to_its_end(
+    start, tmp_path
+):
     (tmp_path / "counted.py").write_text(COUNTED)
-    source = ("--set", "sensor.source=counted:frames", "--set", "reconstructor.preset=paper")
+    source = (
+        "--set",
+        "sensor.source=counted:frames",
+        "--set",
+        "reconstructor.preset=paper",
+    )
     program = launched(start, tmp_path, 'restart = "on-failure"', *source)
     client = connected(program)
     client.send({"watch": True})
     acquired = tmp_path / "acquired"
-    wait_until(lambda: acquired.stat().st_size > 1, "a frame after that which shows the shape")
+    wait_until(
+        lambda: acquired.stat().st_size > 1, "a frame after that which shows the shape"
+    )
 
     def wait_for(node, **wanted):
         """Wait for news of a node in which it is as stated."""
 
         def has_come():
-            news = [fields["graph"] for fields in client.receive() or () if "graph" in fields]
-            nodes = [state for graph in news for state in graph["nodes"] if state["name"] == node]
+            news = [
+                fields["graph"]
+                for fields in client.receive() or ()
+                if "graph" in fields
+            ]
+            nodes = [
+                state
+                for graph in news
+                for state in graph["nodes"]
+                if state["name"] == node
+            ]
             return any(wanted.items() <= state.items() for state in nodes)
 
         wait_until(has_come, f"{node}: {wanted}")
@@ -202,19 +233,26 @@ def test_killed_nodes_are_started_again_and_the_graph_goes_on_to_its_end(start, 
     # The end states it, as the exit code does not.
     for node in ("sensor", "compressor", "reconstructor"):
         cause = "ended too early: killed by SIGKILL"
-        assert f"\n{node}: restarted 1 time after a failure; the last: {cause}\n" in stdout
+        assert (
+            f"\n{node}: restarted 1 time after a failure; the last: {cause}\n" in stdout
+        )
     assert "[launch] reconstructor is started again (restart 1)" in stderr
     assert "[launch] sensor is started again (restart 1)" in stderr
     summary = json.loads((tmp_path / "out.json").read_text())
     restarts = {name: node["restarts"] for name, node in summary["nodes"].items()}
     assert restarts == {"sensor": 1, "compressor": 1, "reconstructor": 1, "monitor": 1}
-    assert summary["nodes"]["sensor"]["failures"] == ["ended too early: killed by SIGKILL"]
+    assert summary["nodes"]["sensor"]["failures"] == [
+        "ended too early: killed by SIGKILL"
+    ]
     patch, nodes = summary["patches"]["skin"], summary["nodes"]
     frames = patch["frames"]
     # The second sensor goes through all its frames, whatever the first one had sent. The monitor,
     # which was restarted, has not seen the frames of the first one, nor all reconstructions.
     assert frames["sensed"] == acquired.stat().st_size > 1000
-    assert frames["reconstructed"] == nodes["reconstructor"]["published"]["/skin/reconstruction"]
+    assert (
+        frames["reconstructed"]
+        == nodes["reconstructor"]["published"]["/skin/reconstruction"]
+    )
     assert frames["lost"] == frames["sensed"] - frames["reconstructed"]
     assert 0 < patch["compared"] <= 1000
     assert f"figures of {patch['compared']} since " in stdout
@@ -237,7 +275,9 @@ def test_a_node_that_fails_too_often_ends_the_graph(start, tmp_path):
 
 @pytest.mark.slow
 def test_a_node_that_hangs_is_killed_and_started_again(start, tmp_path):
-    program = launched(start, tmp_path, 'restart = "on-failure"\nrestart_delay_s = 0\nhang_s = 1')
+    program = launched(
+        start, tmp_path, 'restart = "on-failure"\nrestart_delay_s = 0\nhang_s = 1'
+    )
     os.kill(program.pid_of("reconstructor"), signal.SIGSTOP)
     program.wait_for("[launch] reconstructor has been silent for 1 s: SIGKILL")
     program.wait_for("[launch] reconstructor is started again (restart 1)")

@@ -52,8 +52,12 @@ def test_one_that_was_lost_before_the_nodes_starts_none(handled):
         launcher.run()
 
 
-def test_a_module_that_is_being_imported_is_not_blamed_for_it(tmp_path, monkeypatch, handled):
-    (tmp_path / "interrupted_driver.py").write_text("import os\nos.kill(os.getpid(), 15)\n")
+def test_a_module_that_is_being_imported_is_not_blamed_for_it(
+    tmp_path, monkeypatch, handled
+):
+    (tmp_path / "interrupted_driver.py").write_text(
+        "import os\nos.kill(os.getpid(), 15)\n"
+    )
     monkeypatch.syspath_prepend(tmp_path)
     with pytest.raises(Terminated):
         find_callable("interrupted_driver:frames", SourceError)

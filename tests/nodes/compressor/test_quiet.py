@@ -79,7 +79,9 @@ def test_bounds_lie_between_closed_forms(n, z):
 @pytest.mark.parametrize("level", [0.0, 0.5, 1.0, 70.0, None])
 def test_false_sends_are_at_most_as_many_as_stated(level, monkeypatch):
     # A thousand times as many as stated, so that a few thousand frames show them.
-    monkeypatch.setattr("sparseskin.nodes.compressor.change.FALSE_SENDS", 1e3 * FALSE_SENDS)
+    monkeypatch.setattr(
+        "sparseskin.nodes.compressor.change.FALSE_SENDS", 1e3 * FALSE_SENDS
+    )
     truth = np.zeros((16, 12, 20), dtype=np.float32)
     truth[:, 2:6, 2:9] = 0.4
     if level is not None:
@@ -88,7 +90,9 @@ def test_false_sends_are_at_most_as_many_as_stated(level, monkeypatch):
     rng = np.random.default_rng(3)
     for _ in range(2 * watch.length):
         watch.to_send(NOISE.apply(truth, rng))
-    n_sent = sum(np.count_nonzero(watch.to_send(NOISE.apply(truth, rng))) for _ in range(400))
+    n_sent = sum(
+        np.count_nonzero(watch.to_send(NOISE.apply(truth, rng))) for _ in range(400)
+    )
     n_expected = 1e3 * FALSE_SENDS * 400 * len(truth)
     # Each alarm sends a block: the number of alarms has about this deviation.
     deviation = math.sqrt(n_expected * watch.length)
@@ -125,12 +129,20 @@ def test_a_contact_begins_in_the_same_frame_as_without(seed, force, place, ratio
     for quiet in (None, 10.0):
         edge = Edge(quiet=quiet, ratio=ratio)
         edge.rng = np.random.default_rng(seed)
-        host = Reconstructor(Reconstructor.Settings(contacts=True), Context("host", ManualClock(1)))
+        host = Reconstructor(
+            Reconstructor.Settings(contacts=True), Context("host", ManualClock(1))
+        )
         messages = [edge.state, *edge.phi]
         for k in range(110):
             messages += edge.frame(truth if k >= 95 else 0 * truth)
-        contacts = [m for each in messages for m in host.step(each) if isinstance(m, Contacts)]
-        stamps = [m.stamp_ns for m in contacts if "begin" in [name for _, name in m.named_events]]
+        contacts = [
+            m for each in messages for m in host.step(each) if isinstance(m, Contacts)
+        ]
+        stamps = [
+            m.stamp_ns
+            for m in contacts
+            if "begin" in [name for _, name in m.named_events]
+        ]
         begins.append(stamps)
     assert begins[0] == begins[1]
     assert begins[0]
@@ -174,21 +186,29 @@ def test_of_several_patches_only_those_that_change_are_sent():
     assert last.unchanged == (True, False, True)
     assert last.y.shape[0] == 1
     assert [part.patch for part in last.split()] == ["right"]
-    found = [m for each in messages for m in host.step(each) if isinstance(m, Reconstruction)][-1]
+    found = [
+        m for each in messages for m in host.step(each) if isinstance(m, Reconstruction)
+    ][-1]
     assert found.unchanged == (True, False, True)
     assert found.forces.shape == (1, *SHAPE)
 
 
 @pytest.mark.parametrize("n_lost", [0, 3])
 def test_frames_and_losses_are_counted_exactly(n_lost):
-    bus = chain(sensor={"source": "scene:path_40"}, compressor={"quiet": 0.05}, monitor={})
+    bus = chain(
+        sensor={"source": "scene:path_40"}, compressor={"quiet": 0.05}, monitor={}
+    )
     monitor = bus.hosts["monitor"]
     node = bus.hosts["reconstructor"].node
     step = node.step
     dropped = []
 
     def lossy(message):
-        if isinstance(message, Measurements) and message.seq >= 100 and len(dropped) < n_lost:
+        if (
+            isinstance(message, Measurements)
+            and message.seq >= 100
+            and len(dropped) < n_lost
+        ):
             dropped.append(message)
             return ()
         return step(message)

@@ -27,8 +27,19 @@ from sparseskin.nodes.graph import join
 from sparseskin.nodes.monitor import statistics
 from sparseskin.nodes.monitor.metrics import MAX_PENDING, PatchMetrics, psnr_db
 from sparseskin.nodes.monitor.node import Monitor
-from sparseskin.nodes.monitor.statistics import COLUMNS, MIN_CAPACITY, SPAN_S, History, Quantiles
-from sparseskin.nodes.monitor.table import WIDTH, doubts_text, status_line, summary_table
+from sparseskin.nodes.monitor.statistics import (
+    COLUMNS,
+    MIN_CAPACITY,
+    SPAN_S,
+    History,
+    Quantiles,
+)
+from sparseskin.nodes.monitor.table import (
+    WIDTH,
+    doubts_text,
+    status_line,
+    summary_table,
+)
 from sparseskin.nodes.node import Context
 from sparseskin.nodes.reconstructor.node import Reconstructor
 from sparseskin.nodes.sensor.node import Sensor
@@ -36,10 +47,20 @@ from sparseskin.nodes.sensor.node import Sensor
 SHAPE = (4, 5)
 MS = 1_000_000
 HEAD = {"patch": "skin", "run_id": "0" * 16}
-SOLVED = {**{"phi": "0" * 16, "iterations": (1,), "residual": (0.0,), "solve_ns": (2 * MS,)}}
-PHI = PhiState(**HEAD, stamp_ns=0, kind="sbhe", n=20, m=7, block=4, seed=0, fingerprint="0" * 16)
+SOLVED = {
+    **{"phi": "0" * 16, "iterations": (1,), "residual": (0.0,), "solve_ns": (2 * MS,)}
+}
+PHI = PhiState(
+    **HEAD, stamp_ns=0, kind="sbhe", n=20, m=7, block=4, seed=0, fingerprint="0" * 16
+)
 SOLVER = SolverState(
-    **HEAD, stamp_ns=0, solver="fista", basis="haar", preset="paper", iterations=30, lambda_n=0.1
+    **HEAD,
+    stamp_ns=0,
+    solver="fista",
+    basis="haar",
+    preset="paper",
+    iterations=30,
+    lambda_n=0.1,
 )
 
 
@@ -62,7 +83,10 @@ def frame(seq, truth, taxels, restored):
     if restored is not None:
         messages.append(
             Reconstruction(
-                **origin, **SOLVED, forces=uniform(restored), done_ns=1000 * seq + 3 * MS
+                **origin,
+                **SOLVED,
+                forces=uniform(restored),
+                done_ns=1000 * seq + 3 * MS,
             )
         )
     return messages
@@ -76,10 +100,13 @@ def metrics_of(*messages):
 
 
 @pytest.mark.parametrize(
-    ("error", "db"), [(2.5, 0.0), (0.25, 20.0), (0.025, 40.0), (0.0, 100.0), (1e-9, 100.0)]
+    ("error", "db"),
+    [(2.5, 0.0), (0.25, 20.0), (0.025, 40.0), (0.0, 100.0), (1e-9, 100.0)],
 )
 def test_psnr_is_the_range_over_the_root_mean_square_error(error, db):
-    assert psnr_db(np.full(SHAPE, error, np.float32), 2.5) == pytest.approx(db, abs=1e-4)
+    assert psnr_db(np.full(SHAPE, error, np.float32), 2.5) == pytest.approx(
+        db, abs=1e-4
+    )
 
 
 def test_a_taxel_whose_reading_is_missing_is_not_compared():
@@ -93,11 +120,15 @@ def test_a_taxel_whose_reading_is_missing_is_not_compared():
 
 @pytest.mark.parametrize("unknown", ["/skin/taxels", "/skin/reconstruction"])
 def test_while_a_clock_is_unknown_latency_alone_is_unknown(unknown):
-    metrics = PatchMetrics(clock_of=lambda topic: None if topic == unknown else SAME_CLOCK)
+    metrics = PatchMetrics(
+        clock_of=lambda topic: None if topic == unknown else SAME_CLOCK
+    )
     metrics.add(skin())
     *_, complete = [metrics.add(message) for message in frame(0, 1.0, 1.025, 1.0025)]
     assert np.isnan(complete.latency_ms)
-    assert np.isfinite([complete.solve_ms, complete.psnr_noisy_db, complete.psnr_db]).all()
+    assert np.isfinite(
+        [complete.solve_ms, complete.psnr_noisy_db, complete.psnr_db]
+    ).all()
     summary = metrics.summary()
     assert metrics.latency_ns is None
     assert summary["latency_ms"] is None
@@ -105,11 +136,17 @@ def test_while_a_clock_is_unknown_latency_alone_is_unknown(unknown):
 
 
 def test_noise_and_reconstruction_are_compared_with_the_truth():
-    found = metrics_of(skin(), *frame(0, 1.0, 1.025, 1.0025), *frame(1, 0.0, 0.25, 0.025)).summary()
+    found = metrics_of(
+        skin(), *frame(0, 1.0, 1.025, 1.0025), *frame(1, 0.0, 0.25, 0.025)
+    ).summary()
     psnr = found["psnr_db"]
     assert found["reference"] == "truth"
-    assert psnr["noisy"]["all"] == pytest.approx({"mean": 30, "min": 20, "max": 40}, abs=1e-3)
-    assert psnr["noisy"]["contact"] == pytest.approx({"mean": 40, "min": 40, "max": 40}, abs=1e-3)
+    assert psnr["noisy"]["all"] == pytest.approx(
+        {"mean": 30, "min": 20, "max": 40}, abs=1e-3
+    )
+    assert psnr["noisy"]["contact"] == pytest.approx(
+        {"mean": 40, "min": 40, "max": 40}, abs=1e-3
+    )
     expected = {"mean": 50, "min": 40, "max": 60}
     assert psnr["reconstruction"]["all"] == pytest.approx(expected, abs=1e-2)
     assert found["relative_error"]["mean"] == pytest.approx(0.0025, abs=1e-6)
@@ -119,16 +156,22 @@ def test_without_a_truth_the_taxels_are_the_reference():
     summary = metrics_of(skin(has_truth=False), *frame(0, None, 1.0, 1.025)).summary()
     assert summary["reference"] == "taxels"
     assert summary["psnr_db"]["noisy"] == {"all": None, "contact": None}
-    assert summary["psnr_db"]["reconstruction"]["all"]["mean"] == pytest.approx(40, abs=1e-3)
+    assert summary["psnr_db"]["reconstruction"]["all"]["mean"] == pytest.approx(
+        40, abs=1e-3
+    )
 
 
 @pytest.mark.parametrize("answer_first", [False, True])
 def test_without_taxels_frames_are_counted_by_their_measurements(answer_first):
     metrics = metrics_of(dataclasses.replace(skin(has_truth=False), has_taxels=False))
-    for k, seq in enumerate((0, 2, 3)):  # a frame that is not reconstructed, and two that are
+    for k, seq in enumerate(
+        (0, 2, 3)
+    ):  # a frame that is not reconstructed, and two that are
         if seq == 2:
             metrics.add(frame(1, None, 1.0, None)[1])
-        messages = [dataclasses.replace(m, seq=k) for m in frame(seq, None, 1.0, 1.025)[2:]]
+        messages = [
+            dataclasses.replace(m, seq=k) for m in frame(seq, None, 1.0, 1.025)[2:]
+        ]
         messages = [frame(seq, None, 1.0, None)[1], *messages]
         for message in reversed(messages) if answer_first else messages:
             metrics.add(message)
@@ -159,19 +202,30 @@ def test_masked_cells_and_the_order_of_topics_do_not_count():
     assert summary["psnr_db"]["noisy"]["all"]["mean"] == 100.0
     assert summary["bytes_in"] == size_bytes(taxels) - 4 * SHAPE[1]
     messages = [*frame(0, 1.0, 1.1, 1.2), *frame(1, 1.0, 1.1, 1.3)]
-    forward, backward = (metrics_of(skin(), *order) for order in (messages, reversed(messages)))
+    forward, backward = (
+        metrics_of(skin(), *order) for order in (messages, reversed(messages))
+    )
     assert forward.summary() == backward.summary()
 
 
 def test_lost_frames_are_those_sensed_but_not_reconstructed():
     messages = [skin()]
     for seq in range(10):
-        messages += frame(seq, 1.0, 1.0, 1.0)[:-1] if seq == 9 else frame(seq, 1.0, 1.0, 1.0)
+        messages += (
+            frame(seq, 1.0, 1.0, 1.0)[:-1] if seq == 9 else frame(seq, 1.0, 1.0, 1.0)
+        )
     metrics = metrics_of(*messages)
     metrics.end("taxels", 2)  # one that counts fewer than arrived removes none
     metrics.end("taxels", 10)
     metrics.end("reconstruction", 9)
-    counts = {"sensed": 10, "reconstructed": 9, "skipped": 0, "quiet": 0, "lost": 1, "unpaired": 1}
+    counts = {
+        "sensed": 10,
+        "reconstructed": 9,
+        "skipped": 0,
+        "quiet": 0,
+        "lost": 1,
+        "unpaired": 1,
+    }
     assert metrics.summary()["frames"] == counts
 
 
@@ -186,12 +240,17 @@ def test_frames_that_were_skipped_on_purpose_are_not_lost(late):
         metrics.add(measurements)
         if seq in (0, 3, 8):  # 1 and 2 are skipped; 4 to 6 are lost, 7 is skipped
             assert isinstance(reconstruction, Reconstruction)
-            skipped = {0: 5, 3: 2, 8: 1}[seq] if late or seq else 0  # 5: before it could hear
+            skipped = (
+                {0: 5, 3: 2, 8: 1}[seq] if late or seq else 0
+            )  # 5: before it could hear
             told = dataclasses.replace(reconstruction, skipped=skipped, seq=n_restored)
             metrics.add(told)
             n_restored += 1
             assert metrics.lost_so_far == (3 if seq == 8 else 0)
-    assert (metrics.skipped, metrics.lost) == (3, 3 if late else 4)  # frame 9 is under way
+    assert (metrics.skipped, metrics.lost) == (
+        3,
+        3 if late else 4,
+    )  # frame 9 is under way
 
 
 def test_frames_that_are_never_reconstructed_do_not_accumulate():
@@ -208,7 +267,11 @@ def test_the_table_states_of_how_many_frames_its_figures_are():
     whole = summary_table({"skin": metrics_of(skin(), PHI, SOLVER, *frames).summary()})
     assert f"{stated}\n" in whole
     # The truth of the last frame is missing.
-    cut = [m for m in frames if not (isinstance(m, Truth) and m.stamp_ns == frames[-1].stamp_ns)]
+    cut = [
+        m
+        for m in frames
+        if not (isinstance(m, Truth) and m.stamp_ns == frames[-1].stamp_ns)
+    ]
     part = summary_table({"skin": metrics_of(skin(), PHI, SOLVER, *cut).summary()})
     assert f"{stated};\n            figures of 2 (the others came too late)\n" in part
 
@@ -240,7 +303,9 @@ def test_a_graph_that_saw_nothing_has_a_line_in_place_of_a_table():
 
 def test_settings_that_change_during_the_run_are_listed():
     phi = dataclasses.replace(PHI, m=5)
-    preset = dataclasses.replace(SOLVER, solver="skin", basis="", preset="skin", iterations=4)
+    preset = dataclasses.replace(
+        SOLVER, solver="skin", basis="", preset="skin", iterations=4
+    )
     metrics = metrics_of(skin(), phi, PHI, SOLVER, *frame(0, 1.0, 1.0, 1.0), phi)
     metrics.add(preset)
     metrics.add(dataclasses.replace(preset, preset="", iterations=9))
@@ -292,7 +357,11 @@ def test_a_status_line_of_80_columns_has_the_contacts():
     assert "| 2 contacts, 5 N |" in status_line({"forearm": metrics}, 1000.0)[:79]
     many = {f"p{k:03}": metrics for k in range(9)}
     assert "| 18 contacts, 45 N" in status_line(many, 1000.0)[:79]
-    assert [sum_unit(unit) for unit in ("N", "counts", "kPa")] == ["N", "counts", "kPa x taxels"]
+    assert [sum_unit(unit) for unit in ("N", "counts", "kPa")] == [
+        "N",
+        "counts",
+        "kPa x taxels",
+    ]
 
 
 def estimated(seq, force, trusted, error=0.1):
@@ -318,7 +387,11 @@ def test_frames_that_the_solver_does_not_trust_are_counted():
     }
     assert "dB | trusted 75.0 % | latency" in status_line({"skin": metrics}, 200.0)
     table = summary_table({"skin": summary})
-    words = [row.split() for row in table.splitlines() if row.startswith("trusted by the solver")]
+    words = [
+        row.split()
+        for row in table.splitlines()
+        if row.startswith("trusted by the solver")
+    ]
     assert [" ".join(row[4:]) for row in words] == [
         "all frames 66.7 % (2 of 6 not)",
         "contact frames 75.0 % (1 of 4 not)",
@@ -350,7 +423,9 @@ def test_of_several_reasons_each_has_its_number_of_frames(reason):
 
 
 def test_a_reason_of_another_version_is_named_and_one_that_is_not_stated_is_the_error():
-    assert doubts_of("uniform") == '1 of 2 frames is in doubt: unknown reason "uniform".'
+    assert (
+        doubts_of("uniform") == '1 of 2 frames is in doubt: unknown reason "uniform".'
+    )
     assert doubts_of("") == doubts_of(Reason.ERROR)
 
 
@@ -366,13 +441,17 @@ def doubts_of(*reasons):
     return " ".join(lines)
 
 
-@pytest.mark.parametrize(("stated", "clipped"), [(True, True), (False, True), (False, False)])
+@pytest.mark.parametrize(
+    ("stated", "clipped"), [(True, True), (False, True), (False, False)]
+)
 def test_untouched_frames_of_a_noisy_recording_are_not_in_contact(stated, clipped):
     (n, n_pressed) = (32 * 32, 40)
     sigma = 0.05
     force = 1.0
     k_pressed = range(40, 60)
-    metrics = metrics_of(skin(n_rows=32, n_cols=32, has_truth=False, sigma_end=sigma * stated))
+    metrics = metrics_of(
+        skin(n_rows=32, n_cols=32, has_truth=False, sigma_end=sigma * stated)
+    )
     rng = np.random.default_rng(0)
     for k in range(60):
         true = np.zeros((32, 32), np.float32)
@@ -381,7 +460,9 @@ def test_untouched_frames_of_a_noisy_recording_are_not_in_contact(stated, clippe
         taxels, measured, last = frame(k, None, 0.0, 0.0)
         metrics.add(dataclasses.replace(taxels, forces=noisy.astype(np.float32)))
         metrics.add(measured)
-        metrics.add(dataclasses.replace(last, forces=true, error=sigma, trusted=k in k_pressed))
+        metrics.add(
+            dataclasses.replace(last, forces=true, error=sigma, trusted=k in k_pressed)
+        )
     first = not stated  # the noise is not known before the second frame
     trust = metrics.summary()["trust"]["contact"]
     assert trust["frames"] == len(k_pressed) + first
@@ -404,7 +485,9 @@ def test_a_late_monitor_counts_no_frame_as_lost_before_the_first_it_compares():
         for message in messages:
             metrics.add(message)
     found = metrics.summary()["frames"]
-    assert metrics.reconstructed == 3  # by their numbers: frame 43 is lost for this reader alone
+    assert (
+        metrics.reconstructed == 3
+    )  # by their numbers: frame 43 is lost for this reader alone
     assert found["lost"] == metrics.lost_so_far == found["unpaired"] == 0
 
 
@@ -442,8 +525,13 @@ def test_a_monitor_watches_several_patches_apart():
 )
 def test_offsets_of_clocks_are_subtracted(sensor_ms, reconstructor_ms, uncertainty_ms):
     clocks = {
-        f"/skin/{schema}": ClockEstimate(ahead * MS, within * MS) if within else SAME_CLOCK
-        for schema, (ahead, within) in (("taxels", sensor_ms), ("reconstruction", reconstructor_ms))
+        f"/skin/{schema}": ClockEstimate(ahead * MS, within * MS)
+        if within
+        else SAME_CLOCK
+        for schema, (ahead, within) in (
+            ("taxels", sensor_ms),
+            ("reconstruction", reconstructor_ms),
+        )
     }
     metrics = PatchMetrics(clock_of=clocks.get)
     acquired_ns = 10_000 * MS  # on our clock
@@ -458,7 +546,10 @@ def test_offsets_of_clocks_are_subtracted(sensor_ms, reconstructor_ms, uncertain
     assert metrics.latency_uncertainty_ns == uncertainty_ms * MS
 
 
-@given(st.lists(st.floats(1.1e3, 0.9e12), min_size=1), st.sampled_from([0.01, 0.5, 0.9, 0.99]))
+@given(
+    st.lists(st.floats(1.1e3, 0.9e12), min_size=1),
+    st.sampled_from([0.01, 0.5, 0.9, 0.99]),
+)
 def test_a_quantile_is_right_within_a_quarter_percent(values, q):
     quantiles = Quantiles()
     for value in values:

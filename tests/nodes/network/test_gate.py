@@ -47,7 +47,11 @@ class Station:
         self.lines = []
         known = {UNLISTED.public: "mallory", LISTED.public: "desk"}
         self.gate = Gate(
-            self.context, keys, {LISTED.public: "desk"}, known, lambda line: self.lines.append(line)
+            self.context,
+            keys,
+            {LISTED.public: "desk"},
+            known,
+            lambda line: self.lines.append(line),
         )
         self.writer = Writer(self.context, endpoint, gate=self.gate)
 
@@ -61,7 +65,9 @@ class Station:
             poller.register(served, zmq.POLLIN)
         deadline_s = time.monotonic() + PATIENCE_S
         while not done():
-            assert time.monotonic() < deadline_s, f"gave up waiting for {what}: {self.lines}"
+            assert time.monotonic() < deadline_s, (
+                f"gave up waiting for {what}: {self.lines}"
+            )
             poller.poll(10)
             self.serve()
 
@@ -95,7 +101,9 @@ def listen(context, station, keys, server_key, now_ns=lambda: 0):
     lines = []
     security = keys and {"key_pair": vars(keys), "allowed": {}, "names": {}}
     config = {"name": "reader", "endpoint": "inproc://reader", "security": security}
-    node = Network(context, {**config, "distant_inputs": {TAXELS: "edge"}}, now_ns, lines.append)
+    node = Network(
+        context, {**config, "distant_inputs": {TAXELS: "edge"}}, now_ns, lines.append
+    )
     reader = node.make_reader([TAXELS])
     node.connect([Peer("writer", station.writer.endpoint, "edge", server_key)])
     return reader, node, lines
@@ -127,16 +135,22 @@ def test_who_is_on_the_list_gets_every_message(context, endpoint, keys, tmp_path
     ],
     ids=["not listed", "unknown", "wrong server key", "no key"],
 )
-def test_who_is_not_let_in_gets_nothing_and_is_named(station, context, keys, server_key, words):
+def test_who_is_not_let_in_gets_nothing_and_is_named(
+    station, context, keys, server_key, words
+):
     reader, node, _ = listen(context, station, keys, server_key)
     station.until(lambda: station.said(words), words)
-    station.writer.send(Taxels(stamp_ns=0, patch="skin", forces=np.ones((2, 2), np.float32)))
+    station.writer.send(
+        Taxels(stamp_ns=0, patch="skin", forces=np.ones((2, 2), np.float32))
+    )
     assert station.writer.present == set()
     assert reader.receive() is None
     node.serve()
     assert node.heard == {"writer": False}
     line = next(line for line in station.lines if words in line)
-    if "list" in words:  # who shows no key may be gone before its address can be asked for
+    if (
+        "list" in words
+    ):  # who shows no key may be gone before its address can be asked for
         assert "turned away 127.0.0.1" in line
 
 
@@ -169,9 +183,13 @@ def test_refusals_of_many_addresses_fill_neither_memory_nor_log(station):
     assert station.lines[-1] == f"turned away {address.format(0)}: {reason} (10 times)"
 
 
-def test_more_connections_than_there_may_be_are_turned_away(station, context, monkeypatch):
+def test_more_connections_than_there_may_be_are_turned_away(
+    station, context, monkeypatch
+):
     monkeypatch.setattr(gate_module, "MAX_CONNECTIONS", 3)
-    readers = [Reader(context, f"reader_{k}", (), [TAXELS], keys=LISTED) for k in range(4)]
+    readers = [
+        Reader(context, f"reader_{k}", (), [TAXELS], keys=LISTED) for k in range(4)
+    ]
     for reader in readers[:3]:
         reader.connect(station.writer.endpoint, SERVER.public)
     station.until(lambda: len(station.writer.present) == 3, "as many as there may be")
@@ -182,7 +200,9 @@ def test_more_connections_than_there_may_be_are_turned_away(station, context, mo
 
 def test_a_refused_reader_tries_again_by_itself(station, context):
     now_ns = 0
-    _reader, node, lines = listen(context, station, UNLISTED, SERVER.public, lambda: now_ns)
+    _reader, node, lines = listen(
+        context, station, UNLISTED, SERVER.public, lambda: now_ns
+    )
     station.until(lambda: station.said("mallory"), "the refusal")
 
     def served_again():
@@ -194,11 +214,15 @@ def test_a_refused_reader_tries_again_by_itself(station, context):
     wait_until(lambda: bool(served_again() or lines), "the reader's own line")
     assert "cannot connect to writer on edge" in lines[0]
     assert "it does not let this host in (the key is not on its list)" in lines[0]
-    station.gate._allowed[UNLISTED.public] = "mallory"  # somebody has put it on the list
+    station.gate._allowed[UNLISTED.public] = (
+        "mallory"  # somebody has put it on the list
+    )
     station.until(served_again, "the reader")
 
 
-def test_the_silent_connection_is_named_and_not_the_reader_that_came_after_it(station, context):
+def test_the_silent_connection_is_named_and_not_the_reader_that_came_after_it(
+    station, context
+):
     with half_open(station) as stranger:
         station.until(lambda: bool(station.gate._pending), "the stranger")
         reader, _, _ = listen(context, station, LISTED, SERVER.public)
@@ -215,7 +239,9 @@ def test_the_silent_connection_is_named_and_not_the_reader_that_came_after_it(st
     assert "sent nothing for 2 s" in line
 
 
-def test_half_open_connections_are_bounded_and_keep_no_reader_out(station, context, monkeypatch):
+def test_half_open_connections_are_bounded_and_keep_no_reader_out(
+    station, context, monkeypatch
+):
     monkeypatch.setattr(gate_module, "MAX_PENDING", 3)
     strangers = [half_open(station) for _ in range(10)]
     station.until(lambda: station.said("(10 times)") or station.said("too many"), "it")
@@ -230,10 +256,19 @@ def test_half_open_connections_are_bounded_and_keep_no_reader_out(station, conte
         stranger.close()
 
 
-def test_of_too_many_connections_one_of_the_busiest_address_is_closed(station, monkeypatch):
+def test_of_too_many_connections_one_of_the_busiest_address_is_closed(
+    station, monkeypatch
+):
     closed = []
-    monkeypatch.setattr(gate_module, "_shut_down", lambda fd, address: closed.append(address))
-    station.gate._pending = {3: "10.0.0.1:1", 4: "10.0.0.7:1", 5: "10.0.0.7:2", 6: "10.0.0.2:1"}
+    monkeypatch.setattr(
+        gate_module, "_shut_down", lambda fd, address: closed.append(address)
+    )
+    station.gate._pending = {
+        3: "10.0.0.1:1",
+        4: "10.0.0.7:1",
+        5: "10.0.0.7:2",
+        6: "10.0.0.2:1",
+    }
     station.gate._close_one()
     assert closed == ["10.0.0.7:1"]
     assert list(station.gate._pending) == [3, 5, 6]
@@ -244,7 +279,9 @@ def test_of_too_many_connections_one_of_the_busiest_address_is_closed(station, m
         assert ours.recv(100) == b"still open"
 
 
-def test_keys_belong_together_and_the_command_names_both_files(tmp_path, monkeypatch, capsys):
+def test_keys_belong_together_and_the_command_names_both_files(
+    tmp_path, monkeypatch, capsys
+):
     secret, public = make_key_files("edge", tmp_path / "own")
     pair = read_key_pair(secret)
     assert pair.public == read_public_key(public)
@@ -254,10 +291,16 @@ def test_keys_belong_together_and_the_command_names_both_files(tmp_path, monkeyp
     assert known_names(secret.parent) == {pair.public: "edge"}
     monkeypatch.chdir(tmp_path)
     assert main(["keys", "make", "desk"]) == 0
-    assert sorted(path.name for path in Path("keys").iterdir()) == ["desk.key", "desk.pub"]
+    assert sorted(path.name for path in Path("keys").iterdir()) == [
+        "desk.key",
+        "desk.pub",
+    ]
     before = Path("keys/desk.key").read_text()
     assert main(["keys", "make", "desk"]) == 2
-    assert "keys/desk.key: exists already, and is not written over" in capsys.readouterr().err
+    assert (
+        "keys/desk.key: exists already, and is not written over"
+        in capsys.readouterr().err
+    )
     assert Path("keys/desk.key").read_text() == before
 
 
@@ -272,11 +315,15 @@ def test_a_secret_that_others_can_get_at_or_own_is_refused(tmp_path):
     secret, _ = make_key_files("edge", tmp_path)
     for mode in (0o640, 0o620):
         secret.chmod(mode)
-        with pytest.raises(KeyFileError, match=rf"edge.key: mode {mode:04o} .*allowed: 0600"):
+        with pytest.raises(
+            KeyFileError, match=rf"edge.key: mode {mode:04o} .*allowed: 0600"
+        ):
             read_key_pair(secret)
     secret.chmod(0o600)
     give(secret)
-    with pytest.raises(KeyFileError, match=rf"edge.key: belongs to user {NOBODY}, not to you"):
+    with pytest.raises(
+        KeyFileError, match=rf"edge.key: belongs to user {NOBODY}, not to you"
+    ):
         read_key_pair(secret)
 
 
@@ -286,12 +333,16 @@ def test_a_public_key_that_others_can_replace_or_own_is_refused(tmp_path, what, 
     given = public if what == "file" else tmp_path
     before = given.stat().st_mode
     given.chmod(mode)
-    with pytest.raises(KeyFileError, match=rf": mode {mode:04o} lets other users replace the key"):
+    with pytest.raises(
+        KeyFileError, match=rf": mode {mode:04o} lets other users replace the key"
+    ):
         read_public_key(public)
     assert known_names(tmp_path) == {}
     given.chmod(before)
     give(given)
-    with pytest.raises(KeyFileError, match=rf"^{given}: belongs to user {NOBODY}, who can"):
+    with pytest.raises(
+        KeyFileError, match=rf"^{given}: belongs to user {NOBODY}, who can"
+    ):
         read_public_key(public)
 
 
@@ -303,16 +354,21 @@ def test_a_public_key_that_others_cannot_replace_is_read(tmp_path):
 
 
 @pytest.mark.parametrize(
-    "text", ["", "# nothing\n", "short\n", "a" * 40 + "\n" + "b" * 40, "é" * 40, "\0" * 40]
+    "text",
+    ["", "# nothing\n", "short\n", "a" * 40 + "\n" + "b" * 40, "é" * 40, "\0" * 40],
 )
 def test_what_holds_no_key_is_refused_by_name(tmp_path, text):
     path = tmp_path / "edge.key"
     path.write_text(text)
     path.chmod(0o600)
-    with pytest.raises(KeyFileError, match=r"edge.key: (expected one key of 40|holds no secret)"):
+    with pytest.raises(
+        KeyFileError, match=r"edge.key: (expected one key of 40|holds no secret)"
+    ):
         read_key_pair(path)
 
 
 def test_the_error_of_a_missing_key_names_the_command_that_makes_it(tmp_path):
-    with pytest.raises(KeyFileError, match=r"edge.key: No such file.*sparseskin keys make edge"):
+    with pytest.raises(
+        KeyFileError, match=r"edge.key: No such file.*sparseskin keys make edge"
+    ):
         read_key_pair(tmp_path / "edge.key")

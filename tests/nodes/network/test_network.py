@@ -10,13 +10,21 @@ from processes import wait_for_reader
 
 from sparseskin.messages import PhiState, Taxels, TruncatedError, decode
 from sparseskin.nodes.clock import SAME_CLOCK
-from sparseskin.nodes.network.network import ASK_NS, END_RECEIVED_NS, FIRST_NS, N_FIRST, Network
+from sparseskin.nodes.network.network import (
+    ASK_NS,
+    END_RECEIVED_NS,
+    FIRST_NS,
+    N_FIRST,
+    Network,
+)
 from sparseskin.nodes.network.sockets import Peer, Reader, Writer
 
 LEFT = "/left/taxels"
 RIGHT = "/right/taxels"
 HERE = "/here/taxels"
-PAIR = dict(zip(("public", "secret"), map(bytes.decode, zmq.curve_keypair()), strict=True))
+PAIR = dict(
+    zip(("public", "secret"), map(bytes.decode, zmq.curve_keypair()), strict=True)
+)
 SECURITY = {"key_pair": PAIR, "allowed": {}, "names": {}}
 AHEAD_NS = {"left": 7_000_000_000, "right": -3_000_000_000}
 
@@ -39,7 +47,10 @@ def test_each_topic_has_the_clock_of_its_writers_host(context):
     }
     assert node.clock_of(LEFT) is None
     assert node.clock_of(HERE) == SAME_CLOCK
-    peers = [Peer(f"sensor_{host}", writer.endpoint, host) for host, writer in writers.items()]
+    peers = [
+        Peer(f"sensor_{host}", writer.endpoint, host)
+        for host, writer in writers.items()
+    ]
     node.connect(peers)
     assert node.heard == {"sensor_left": False, "sensor_right": False}
 
@@ -70,7 +81,9 @@ def test_each_topic_has_the_clock_of_its_writers_host(context):
     assert "connected: sensor_left on left" in lines
 
 
-@pytest.mark.parametrize(("n_times", "period_ns"), [(N_FIRST - 1, FIRST_NS), (N_FIRST, ASK_NS)])
+@pytest.mark.parametrize(
+    ("n_times", "period_ns"), [(N_FIRST - 1, FIRST_NS), (N_FIRST, ASK_NS)]
+)
 def test_other_hosts_are_asked_for_the_time(context, monkeypatch, n_times, period_ns):
     node, _ = network(context, distant_inputs={LEFT: "edge"})
     asked = []
@@ -90,7 +103,13 @@ def test_a_writer_reports_the_time_to_those_alone_who_are_there(context):
     writer = Writer(context, "inproc://writer", "sensor", now_ns=time.monotonic_ns)
     stranger = context.socket(zmq.XSUB)
     stranger.connect(writer.endpoint)
-    for note in (b"@monitor!5", b"@!5", b"@monitor!" + b"9" * 50, b"@monitor!x", b"@monitor!-1"):
+    for note in (
+        b"@monitor!5",
+        b"@!5",
+        b"@monitor!" + b"9" * 50,
+        b"@monitor!x",
+        b"@monitor!-1",
+    ):
         stranger.send(b"\x01" + note)
     reader = Reader(context, "reader", [writer.endpoint], [LEFT])
     wait_for_reader(writer, "reader")
@@ -109,8 +128,12 @@ def test_a_writer_reports_the_time_to_those_alone_who_are_there(context):
     ],
     ids=["inproc", "ipc", "tcp", "public", "keys"],
 )
-def test_a_gate_guards_what_has_keys_or_can_be_reached_over_tcp(context, tmp_path, config, guarded):
-    config = {k: v.format(tmp_path) if k == "endpoint" else v for k, v in config.items()}
+def test_a_gate_guards_what_has_keys_or_can_be_reached_over_tcp(
+    context, tmp_path, config, guarded
+):
+    config = {
+        k: v.format(tmp_path) if k == "endpoint" else v for k, v in config.items()
+    }
     node, _ = network(context, **config)
     # The writer, and of the gate its authentication socket and its monitor.
     assert len(node.poller.sockets) == (3 if guarded else 1)
@@ -138,7 +161,11 @@ def test_the_end_is_received_once_every_distant_reader_has_answered(context):
 def test_a_distant_reader_that_never_answers_delays_the_end_by_a_bounded_time(context):
     now_ns = 0
     lines = []
-    config = {"name": "sensor", "endpoint": "inproc://sensor", "distant_readers": ["desk"]}
+    config = {
+        "name": "sensor",
+        "endpoint": "inproc://sensor",
+        "distant_readers": ["desk"],
+    }
     node = Network(context, config, lambda: now_ns, lines.append)
     for now_ns in (0, END_RECEIVED_NS - 1):  # noqa: B007 - read by the clock
         assert not node.end_received()
@@ -182,7 +209,9 @@ def pair(context):
 
 
 def taxels(seq):
-    return Taxels(stamp_ns=seq, patch="skin", seq=seq, forces=np.ones((2, 2), np.float32))
+    return Taxels(
+        stamp_ns=seq, patch="skin", seq=seq, forces=np.ones((2, 2), np.float32)
+    )
 
 
 def test_a_reader_knows_whether_a_message_waits(pair):
@@ -215,7 +244,9 @@ def test_nodes_of_a_process_share_poller_and_gate_and_read_within_it(context, tm
     assert decode(*reader.receive()).seq == 7
 
 
-@pytest.mark.parametrize("endpoint", ["inproc://writer", "tcp://127.0.0.1:*", "ipc://{}/s"])
+@pytest.mark.parametrize(
+    "endpoint", ["inproc://writer", "tcp://127.0.0.1:*", "ipc://{}/s"]
+)
 def test_a_reader_misses_nothing_while_it_is_present(context, endpoint, tmp_path):
     pair = Pair(context, endpoint.format(tmp_path))
     reader = pair.reader(TAXELS)
@@ -233,7 +264,14 @@ def test_a_reader_misses_nothing_while_it_is_present(context, endpoint, tmp_path
 
 
 def test_a_late_subscriber_receives_latched_messages_only(pair):
-    of_phi = {"kind": "full", "n": 4, "m": 4, "block": 1, "seed": 0, "fingerprint": "0" * 16}
+    of_phi = {
+        "kind": "full",
+        "n": 4,
+        "m": 4,
+        "block": 1,
+        "seed": 0,
+        "fingerprint": "0" * 16,
+    }
     phi = PhiState(stamp_ns=0, patch="skin", **of_phi)
     pair.writer.send(phi)
     pair.writer.send(taxels(0))

@@ -13,7 +13,9 @@ from sparseskin.nodes.numerics.compiled import ready, use_compiled
 from sparseskin.nodes.numerics.warm_up import compile_loops
 
 HAS_NUMBA = importlib.util.find_spec("numba") is not None
-needs_numba = pytest.mark.skipif(not HAS_NUMBA, reason="numba is not installed (extra fast)")
+needs_numba = pytest.mark.skipif(
+    not HAS_NUMBA, reason="numba is not installed (extra fast)"
+)
 
 
 @pytest.fixture(autouse=True)
@@ -29,7 +31,9 @@ def no_numba(monkeypatch):
 @pytest.mark.usefixtures("no_numba")
 def test_without_numba_auto_is_numpy_and_both_lines_name_what_to_install(monkeypatch):
     assert not use_compiled("auto")
-    with pytest.raises(SettingsError, match=r"fast: 'on' needs numba: pip install .*\[fast\]"):
+    with pytest.raises(
+        SettingsError, match=r"fast: 'on' needs numba: pip install .*\[fast\]"
+    ):
         use_compiled("on")
     lines = []
     compile_loops("auto", lines.append)
@@ -40,7 +44,9 @@ def test_without_numba_auto_is_numpy_and_both_lines_name_what_to_install(monkeyp
     compile_loops("auto", pytest.fail)
 
 
-def test_a_numba_that_cannot_be_imported_is_not_used_and_refused_when_stated(monkeypatch):
+def test_a_numba_that_cannot_be_imported_is_not_used_and_refused_when_stated(
+    monkeypatch,
+):
     def fail(name):
         raise ImportError("Numba needs NumPy 2.3 or less. Got NumPy 2.9.")
 
@@ -49,7 +55,9 @@ def test_a_numba_that_cannot_be_imported_is_not_used_and_refused_when_stated(mon
     lines = []
     compile_loops("auto", lines.append)
     assert lines == ["compiled loops: numba cannot be imported; numpy is used"]
-    with pytest.raises(SettingsError, match=r"fast: importing numba failed: .*Got NumPy 2\.9"):
+    with pytest.raises(
+        SettingsError, match=r"fast: importing numba failed: .*Got NumPy 2\.9"
+    ):
         use_compiled("on")
 
 
@@ -60,10 +68,14 @@ def test_the_environment_replaces_auto(monkeypatch):
     assert not use_compiled("auto")
     assert use_compiled("on")
     assert not use_compiled("off")
-    with pytest.raises(SettingsError, match=r"fast: 'onn' is not known.*allowed: auto, on, off"):
+    with pytest.raises(
+        SettingsError, match=r"fast: 'onn' is not known.*allowed: auto, on, off"
+    ):
         use_compiled("onn")
     monkeypatch.setenv(fast.ENVIRONMENT, "of")
-    with pytest.raises(SettingsError, match=r"SPARSESKIN_FAST: 'of' is not known.*'off'"):
+    with pytest.raises(
+        SettingsError, match=r"SPARSESKIN_FAST: 'of' is not known.*'off'"
+    ):
         use_compiled("auto")
 
 
@@ -100,7 +112,9 @@ def test_all_loops_are_compiled_for_their_types_at_once_and_take_no_others():
 
 def _run(code):
     """What a program of its own prints."""
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=120)
+    done = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, timeout=120
+    )
     assert done.returncode == 0, done.stderr
     return done.stdout.split()
 
@@ -143,8 +157,12 @@ def test_code_that_can_be_stored_nowhere_else_is_stored_in_a_private_temporary_f
     monkeypatch.setattr(numba.config, "CACHE_DIR", "")
     monkeypatch.setattr(tempfile, "gettempdir", lambda: str(temporary))
     locators = vars(caching).items()
-    stated_alone = [cls for name, cls in locators if name.endswith("UserProvidedCacheLocator")]
-    monkeypatch.setattr(caching.CompileResultCacheImpl, "_locator_classes", stated_alone)
+    stated_alone = [
+        cls for name, cls in locators if name.endswith("UserProvidedCacheLocator")
+    ]
+    monkeypatch.setattr(
+        caching.CompileResultCacheImpl, "_locator_classes", stated_alone
+    )
     lines = []
     ready(_module_of(tmp_path).double, log=lines.append)
     assert len(lines) == 2

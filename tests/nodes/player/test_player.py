@@ -43,7 +43,9 @@ def recording(tmp_path_factory):
 
 
 def player(path, **settings):
-    return Player(Player.Settings(file=str(path), **settings), Context("player", ManualClock()))
+    return Player(
+        Player.Settings(file=str(path), **settings), Context("player", ManualClock())
+    )
 
 
 def play(node, n_ticks=1000):
@@ -56,10 +58,14 @@ def play(node, n_ticks=1000):
     return frames
 
 
-def test_a_recording_that_is_cut_before_its_first_message_is_refused(recording, tmp_path):
+def test_a_recording_that_is_cut_before_its_first_message_is_refused(
+    recording, tmp_path
+):
     cut = tmp_path / "holds_no_message.mcap"
     cut.write_bytes(recording[0].read_bytes()[:3000])  # within the first chunk
-    with pytest.raises(SparseskinError, match="holds no message, so there is nothing to play"):
+    with pytest.raises(
+        SparseskinError, match="holds no message, so there is nothing to play"
+    ):
         player(cut)
 
 
@@ -68,7 +74,11 @@ def test_kept_stamps_are_those_of_what_was_recorded_to_the_bit(recording):
     node = player(path, keep_stamps=True)
     played = [encode(m) for frame in play(node) for m in frame]
     assert played == [encode(m) for m in seen]
-    assert {m.topic for m in node.start()} == {"/skin/skin", "/skin/phi", "/skin/solver"}
+    assert {m.topic for m in node.start()} == {
+        "/skin/skin",
+        "/skin/phi",
+        "/skin/solver",
+    }
 
 
 @pytest.mark.parametrize(
@@ -83,7 +93,9 @@ def test_a_part_is_half_open(recording, settings, first, count):
 
 def test_chosen_topics_alone_are_played_under_new_names(recording):
     settings = Player.Settings(
-        file=str(recording[0]), topics=("/skin/skin", "/skin/taxels"), remap=("/skin:=/left",)
+        file=str(recording[0]),
+        topics=("/skin/skin", "/skin/taxels"),
+        remap=("/skin:=/left",),
     )
     assert Player.outputs(settings) == ("/left/skin", "/left/taxels")
     node = Player(settings, Context("player", ManualClock()))
@@ -116,7 +128,11 @@ class OfTaxels(FistaSolver):
 @pytest.mark.parametrize(
     ("name", "override", "text"),
     [
-        ("replay_taxels", "compressor.ratio=2000", "leaves no measurement of 1600 taxels"),
+        (
+            "replay_taxels",
+            "compressor.ratio=2000",
+            "leaves no measurement of 1600 taxels",
+        ),
         (
             "replay_measurements",
             f"reconstructor.solver={__name__}:OfTaxels",
@@ -142,7 +158,9 @@ def test_a_faster_rate_is_shown_and_what_is_no_command_is_refused(recording):
 
 
 @pytest.mark.parametrize("n_frames", [1, N_FRAMES])
-def test_a_number_of_frames_is_played_with_all_their_messages(recording, tmp_path, n_frames):
+def test_a_number_of_frames_is_played_with_all_their_messages(
+    recording, tmp_path, n_frames
+):
     # As in a running graph, measurements are recorded after the taxels of later frames.
     lags = {Measurements: 3, Reconstruction: 4}
     period_ns = 10 * MS
@@ -181,9 +199,9 @@ def changed(tmp_path):
             messages.append(state.published("0" * 16, int(k > 0)))
         y = phi.forward(np.full(N, 0.1 * k, np.float32))
         messages.append(
-            Measurements(stamp_ns=stamp_ns, patch="skin", y=y, phi=phi.fingerprint).published(
-                "0" * 16, k
-            )
+            Measurements(
+                stamp_ns=stamp_ns, patch="skin", y=y, phi=phi.fingerprint
+            ).published("0" * 16, k)
         )
     path = tmp_path / "changed.mcap"
     make_bag(path, messages)
@@ -207,7 +225,9 @@ def test_every_frame_of_a_whole_or_a_part_is_inverted_by_the_phi_that_made_it(ch
     bus = graph(changed, keep_stamps=True)
     found = restored(bus)
     assert bus.hosts["reconstructor"].counts.refused == {}
-    assert [m.phi for m in found] == [PHIS[k >= CHANGED_AT].fingerprint for k in range(N_FRAMES)]
+    assert [m.phi for m in found] == [
+        PHIS[k >= CHANGED_AT].fingerprint for k in range(N_FRAMES)
+    ]
     found = restored(graph(changed, start_s=0.15))
     assert {m.phi for m in found} == {PHIS[1].fingerprint}
     assert len(found) == 5

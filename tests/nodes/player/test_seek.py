@@ -61,11 +61,15 @@ class Deck:
 def recorded(messages):
     """Number of the recorded frame, by its forces, which no other frame has."""
     (taxels,) = [message for message in messages if isinstance(message, Taxels)]
-    (number,) = [k for k, forces in enumerate(TAXELS) if forces == taxels.forces.tobytes()]
+    (number,) = [
+        k for k, forces in enumerate(TAXELS) if forces == taxels.forces.tobytes()
+    ]
     return number
 
 
-@pytest.mark.parametrize("values", [{"keep_stamps": True}, {"lockstep": True}, {"rate": 0.0}])
+@pytest.mark.parametrize(
+    "values", [{"keep_stamps": True}, {"lockstep": True}, {"rate": 0.0}]
+)
 def test_a_seek_goes_forward_and_back(bag, values):
     deck = Deck(bag, **values)
     assert [recorded(f) for f in deck.play(3)] == [0, 1, 2]
@@ -77,7 +81,11 @@ def test_a_seek_goes_forward_and_back(bag, values):
     assert [recorded(f) for f in deck.play(2)] == [5, 6]
 
 
-@given(seeks=st.lists(st.tuples(st.integers(0, N_FRAMES - 2), st.integers(1, 3)), max_size=6))
+@given(
+    seeks=st.lists(
+        st.tuples(st.integers(0, N_FRAMES - 2), st.integers(1, 3)), max_size=6
+    )
+)
 def test_after_any_seeks_the_frame_that_was_asked_for_is_due_at_once(bag, seeks):
     deck = Deck(bag)
     played = []
@@ -111,7 +119,9 @@ def test_a_seek_keeps_stamps_where_they_are_kept_and_counts_on(bag):
     deck.press("seek", 0.02)
     played += deck.play(4)
     stamps = [k * PERIOD_NS for k in (0, 1, 2, 3, 2, 3, 4, 5)]
-    assert [{m.stamp_ns for m in messages} for messages in played] == [{ns} for ns in stamps]
+    assert [{m.stamp_ns for m in messages} for messages in played] == [
+        {ns} for ns in stamps
+    ]
     numbers = [m.seq for messages in played for m in messages if isinstance(m, Taxels)]
     assert numbers == list(range(8))
 
@@ -141,7 +151,9 @@ def test_a_value_that_is_not_allowed_changes_nothing(bag, name, values, allowed)
     state = deck.player.state()
     due_ns = deck.player.next_tick_ns()
     for value in values:
-        with pytest.raises(RefusedError, match=rf"{name}: .* is not allowed \(allowed: {allowed}"):
+        with pytest.raises(
+            RefusedError, match=rf"{name}: .* is not allowed \(allowed: {allowed}"
+        ):
             deck.press(name, value)
     assert deck.player.state() == state
     assert deck.player.next_tick_ns() == due_ns
@@ -152,7 +164,9 @@ def test_after_the_end_there_is_no_way_back(bag):
     deck = Deck(bag)
     deck.play(N_FRAMES)
     assert deck.player.exhausted
-    with pytest.raises(RefusedError, match="seek: the recording has been played to its end"):
+    with pytest.raises(
+        RefusedError, match="seek: the recording has been played to its end"
+    ):
         deck.press("seek", 0.1)
 
 

@@ -51,7 +51,9 @@ print(json.dumps([scheduled(), within, in_thread()]))
 def applied(cpus, priority):
     """CPUs and policy of a process, of a thread started within and of one started after it."""
     code = APPLIED.format(cpus=cpus, priority=priority)
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    done = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=True
+    )
     return json.loads(done.stdout)
 
 
@@ -64,8 +66,16 @@ def test_keys_are_stated_one_by_one():
 @pytest.mark.parametrize(
     ("key", "values", "fault"),
     [
-        ("cpus", (0, [-1], [MAX_CPU + 1], [True], [0.0]), "expected a list of |.* outside 0..10"),
-        ("priority", (-1, MAX_PRIORITY + 1, True, 1.0), "expected a whole number|.* outside 0..98"),
+        (
+            "cpus",
+            (0, [-1], [MAX_CPU + 1], [True], [0.0]),
+            "expected a list of |.* outside 0..10",
+        ),
+        (
+            "priority",
+            (-1, MAX_PRIORITY + 1, True, 1.0),
+            "expected a whole number|.* outside 0..98",
+        ),
     ],
 )
 def test_what_is_no_list_of_cpus_and_no_priority_is_refused(key, values, fault):
@@ -92,7 +102,9 @@ def test_a_priority_without_the_privilege_is_refused(monkeypatch):
 
     monkeypatch.setattr(os, "sched_setscheduler", refuse)
     Scheduling().check_permitted()
-    assert refusal(lambda: Scheduling(priority=10).check_permitted(), SettingsError) == (
+    assert refusal(
+        lambda: Scheduling(priority=10).check_permitted(), SettingsError
+    ) == (
         "priority: 10 is not permitted to this user "
         "(allowed: 0; or a limit rtprio of 11 or more, as in limits.conf(5))"
     )
@@ -137,9 +149,12 @@ def test_figures_of_this_process_agree_with_the_system_calls():
 
 
 @pytest.mark.parametrize(
-    ("frame_ns", "n"), [(1_000, runner.BATCH), (runner.BATCH_NS // 4, 4), (2 * runner.BATCH_NS, 1)]
+    ("frame_ns", "n"),
+    [(1_000, runner.BATCH), (runner.BATCH_NS // 4, 4), (2 * runner.BATCH_NS, 1)],
 )
-def test_slow_frames_keep_a_command_waiting_for_one_frame_at_most(frame_ns, n, monkeypatch):
+def test_slow_frames_keep_a_command_waiting_for_one_frame_at_most(
+    frame_ns, n, monkeypatch
+):
     now_ns = 0
     monkeypatch.setattr(runner.time, "monotonic_ns", lambda: now_ns)
     n_frames = 0
@@ -210,10 +225,19 @@ def test_what_is_skipped_on_a_socket_is_counted_and_an_end_ends(context):
     for seq in (0, 1, 2, 4, 5, 6, 7):  # 3 is lost
         writer.send(taxels(seq))
     phi = PhiState(
-        stamp_ns=0, patch="skin", kind="full", n=4, m=4, block=1, seed=0, fingerprint="0" * 16
+        stamp_ns=0,
+        patch="skin",
+        kind="full",
+        n=4,
+        m=4,
+        block=1,
+        seed=0,
+        fingerprint="0" * 16,
     )
     writer.send(phi)
-    end = End(stamp_ns=9, patch="skin", run_id="0" * 16, seq=9, of="taxels", n_messages=9)
+    end = End(
+        stamp_ns=9, patch="skin", run_id="0" * 16, seq=9, of="taxels", n_messages=9
+    )
     writer.send(end)  # and so is 8
     node = Tap()
     host = NodeHost(node, "1" * 16, print)
@@ -230,4 +254,6 @@ def test_what_is_skipped_on_a_socket_is_counted_and_an_end_ends(context):
     assert (node.given, node.overtaken_by_newer) == ([5, 6, 7], [0, 1, 2, 4])
     assert (counts["received"], counts["skipped"]) == ({TAXELS: 7}, {TAXELS: 4})
     assert counts["lost"] == {TAXELS: 2}
-    assert counts["refused"] == {"unknown topic": 1}  # the state was not dropped on its way
+    assert counts["refused"] == {
+        "unknown topic": 1
+    }  # the state was not dropped on its way

@@ -65,7 +65,9 @@ def set_up(side, rate_hz, live, **settings):
     context = Context("reconstructor", ManualClock(0), live=live)
     node = Reconstructor(ReconstructorSettings(**settings), context)
     list(node.step(skin_state(n_rows=side, n_cols=side, mask=None, rate_hz=rate_hz)))
-    announced = PhiState(stamp_ns=0, patch="skin", fingerprint=phi.fingerprint, **phi.describe())
+    announced = PhiState(
+        stamp_ns=0, patch="skin", fingerprint=phi.fingerprint, **phi.describe()
+    )
     return node, phi, next(iter(node.step(announced)), None)
 
 
@@ -85,7 +87,9 @@ def restored(budget_ms, monkeypatch):
     return found
 
 
-@pytest.mark.parametrize(("budget_ms", "n"), [(None, 10), (5.5, 5), (0.1, LEAST_STEPS), (100, 10)])
+@pytest.mark.parametrize(
+    ("budget_ms", "n"), [(None, 10), (5.5, 5), (0.1, LEAST_STEPS), (100, 10)]
+)
 def test_as_many_steps_are_done_as_fit_but_at_least_three(budget_ms, n, monkeypatch):
     found = restored(budget_ms, monkeypatch)
     assert found.iterations == (n,)
@@ -111,8 +115,13 @@ def test_the_rate_that_the_skin_states_sets_the_iterations_of_the_default_alone(
 
 def test_steps_that_are_chosen_by_tiles_are_stated_and_bounded_by_their_time():
     node, phi, state = set_up(32, 1e6, True)
-    assert (state.max_iterations, state.frame_tiles) == (24, 1)  # nothing fits into a microsecond
-    node, phi, state = set_up(32, 1000.0, False, options={"frame_tiles": 90, "step_tiles": 10})
+    assert (state.max_iterations, state.frame_tiles) == (
+        24,
+        1,
+    )  # nothing fits into a microsecond
+    node, phi, state = set_up(
+        32, 1000.0, False, options={"frame_tiles": 90, "step_tiles": 10}
+    )
     assert state.iterations == 1
     assert state.max_iterations == 24
     assert state.frame_tiles == 90
@@ -120,7 +129,9 @@ def test_steps_that_are_chosen_by_tiles_are_stated_and_bounded_by_their_time():
 
     def n_steps(forces):
         y = phi.forward(forces.astype(np.float32))
-        (found,) = node.step(Measurements(stamp_ns=1, patch="skin", y=y, phi=phi.fingerprint))
+        (found,) = node.step(
+            Measurements(stamp_ns=1, patch="skin", y=y, phi=phi.fingerprint)
+        )
         return found.iterations[0]
 
     single = np.zeros(phi.n)
@@ -133,7 +144,9 @@ TIMES = st.integers(1, 2000)
 
 
 @given(TIMES, st.integers(1, 60), st.integers(1, 24), st.integers(0, 500))
-def test_counted_steps_fit_into_their_time_and_fall_with_the_tiles(frame, step, most, n_tiles):
+def test_counted_steps_fit_into_their_time_and_fall_with_the_tiles(
+    frame, step, most, n_tiles
+):
     plan = StepPlan(N_FORMULA, 1, 0, frame, step, most, 0.0, 0.0)
     chosen, fewer = (steps_for(plan, n) for n in (n_tiles, n_tiles + 1))
     assert 1 <= fewer.n <= chosen.n <= most

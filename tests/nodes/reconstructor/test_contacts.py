@@ -11,8 +11,17 @@ from sparseskin.messages import Contacts, decode
 from sparseskin.messages.contacts import EVENTS
 from sparseskin.messages.wire import received, wire_bytes
 from sparseskin.nodes.errors import SettingsError
-from sparseskin.nodes.reconstructor.contact_tracks import NOTHING, ContactTracker, joined
-from sparseskin.nodes.reconstructor.contacts import SD_SCALE, Limits, components, find_contacts
+from sparseskin.nodes.reconstructor.contact_tracks import (
+    NOTHING,
+    ContactTracker,
+    joined,
+)
+from sparseskin.nodes.reconstructor.contacts import (
+    SD_SCALE,
+    Limits,
+    components,
+    find_contacts,
+)
 from sparseskin.nodes.reconstructor.settings import ReconstructorSettings
 
 SHAPE = (32, 40)
@@ -78,7 +87,9 @@ def test_an_error_that_all_forces_share_adds_to_the_deviation_of_totals_alone():
         joined([ContactTracker(state()).update(forces, NOISE_N, DT_NS, common=common)])
         for common in (0.0, 0.1)
     )
-    assert shared["total_sd"] == pytest.approx(np.hypot(plain["total_sd"], 0.1 * plain["total"]))
+    assert shared["total_sd"] == pytest.approx(
+        np.hypot(plain["total_sd"], 0.1 * plain["total"])
+    )
     np.testing.assert_array_equal(shared["centre_sd"], plain["centre_sd"])
 
 
@@ -103,7 +114,9 @@ def test_bodies_that_slide_keep_their_ids_and_have_their_velocity():
     assert seen[0].named_events == [(1, "begin"), (2, "begin")]
     # One taxel of 2 mm in 10 ms is 200 mm/s; an event comes where it is half of that.
     assert seen[-1].velocity_mm_s is not None
-    assert seen[-1].velocity_mm_s == pytest.approx(np.array([[200, 0, 0], [-200, 0, 0]]), abs=5)
+    assert seen[-1].velocity_mm_s == pytest.approx(
+        np.array([[200, 0, 0], [-200, 0, 0]]), abs=5
+    )
     assert seen[-1].velocity == pytest.approx(np.array([[0, 100], [0, -100]]), abs=3)
     assert [k for k, one in enumerate(seen) if (1, "slide") in one.named_events] == [4]
     assert seen[-1].sliding.all()
@@ -131,9 +144,9 @@ def test_two_that_meet_are_one_and_have_their_ids_again_where_they_part():
     assert seen[8].named_events == [(3 - kept, "end")]
     assert seen[10].named_events == [(3 - kept, "begin")]
     for before, after in zip(seen[:8], reversed(seen[10:]), strict=True):
-        assert dict(zip(before.id.tolist(), before.centre.tolist(), strict=True)) == dict(
-            zip(after.id.tolist(), after.centre.tolist(), strict=True)
-        )
+        assert dict(
+            zip(before.id.tolist(), before.centre.tolist(), strict=True)
+        ) == dict(zip(after.id.tolist(), after.centre.tolist(), strict=True))
 
 
 def test_events_come_at_their_frames_once_and_again_after_half_the_force():
@@ -154,7 +167,12 @@ def test_strong_contacts_begin_at_once_weak_ones_later_and_none_while_the_noise_
         *([], [], [], [(1, "begin")], [], [(1, "end")], [(2, "begin")])
     ]
     elsewhere = boxes((20, 20), force=5 * NOISE_N)
-    assert [stream(one).id.size for one in (gone, weak, elsewhere, weak)] == [0, 0, 0, 0]
+    assert [stream(one).id.size for one in (gone, weak, elsewhere, weak)] == [
+        0,
+        0,
+        0,
+        0,
+    ]
     stream = Stream()
     assert stream(boxes((8, 8))).id.tolist() == [1]
     stream.tracker.settle(2)
@@ -171,11 +189,19 @@ def test_the_compiled_loop_finds_the_same_components(shape, part):
     rng = np.random.default_rng(1)
     forces, variances = rng.random((2, *shape), dtype=np.float32)
     forces[rng.random(shape) >= part] = 0
-    given = forces, np.float32(0.1), 0.8, variances.reshape(-1), rng.random((3, forces.size))
+    given = (
+        forces,
+        np.float32(0.1),
+        0.8,
+        variances.reshape(-1),
+        rng.random((3, forces.size)),
+    )
     regions = np.zeros((2, forces.size), np.int32)
     regions[:, : shape[1]] = rng.integers(0, 3, shape[1])
     both = zip((components, kernels.components), regions, strict=True)
-    for one, other in zip(*([*find(*given, now, 2), now] for find, now in both), strict=True):
+    for one, other in zip(
+        *([*find(*given, now, 2), now] for find, now in both), strict=True
+    ):
         assert one == pytest.approx(other, rel=1e-9)
 
 
@@ -190,13 +216,17 @@ def test_the_contacts_of_a_skin_of_points_have_a_place_and_a_normal():
     found = Stream(mask=mask, points=points)(boxes((4, 10), size=(1, 1)))
     expected = [100 * np.sin(0.2), 8.0, 100 * np.cos(0.2)]
     assert found.place_mm[0] == pytest.approx(np.array(expected), rel=1e-5)
-    assert found.normal[0] == pytest.approx(np.array([np.sin(0.2), 0, np.cos(0.2)]), rel=1e-5)
+    assert found.normal[0] == pytest.approx(
+        np.array([np.sin(0.2), 0, np.cos(0.2)]), rel=1e-5
+    )
 
 
 def test_contacts_of_several_patches_are_split_with_their_events():
     left = ContactTracker(state())
     right = ContactTracker(state())
-    both = [one.update(boxes((4, 4 + k)), None, 1) for k, one in enumerate((left, right))]
+    both = [
+        one.update(boxes((4, 4 + k)), None, 1) for k, one in enumerate((left, right))
+    ]
     message = Contacts(
         stamp_ns=1, patch="body", names=("left", "idle", "right"), done_ns=0, trusted=(True,) * 3,
         **joined([both[0], None, both[1]]),
@@ -212,7 +242,8 @@ def test_a_graph_publishes_the_contacts_of_each_reconstruction():
     frames = list(sparseskin.run_launch("drag_wrench_40", 345, stated))
     seen = [frame.contacts for frame in frames]
     assert all(
-        one is not None and one.stamp_ns == f.stamp_ns for one, f in zip(seen, frames, strict=True)
+        one is not None and one.stamp_ns == f.stamp_ns
+        for one, f in zip(seen, frames, strict=True)
     )
     known = [one for one in seen if one is not None]
     assert not any(one.id.size for one in known[:300])
@@ -228,7 +259,9 @@ def test_a_graph_publishes_the_contacts_of_each_reconstruction():
 
 
 def test_limits_change_while_a_graph_runs_and_may_not_contradict_each_other():
-    bus = chain(sensor={"source": "scene:drag_wrench_40"}, reconstructor={"contacts": True})
+    bus = chain(
+        sensor={"source": "scene:drag_wrench_40"}, reconstructor={"contacts": True}
+    )
     node = bus.hosts["reconstructor"].node
     sizes = []
     for k, messages in enumerate(bus.frames(332)):

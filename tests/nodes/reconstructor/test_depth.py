@@ -32,9 +32,13 @@ class Behind:
 
     def __init__(self, context, live, **stated):
         clock = ManualClock(1)
-        self._compressor = Compressor(Compressor.Settings(), Context("compressor", clock))
+        self._compressor = Compressor(
+            Compressor.Settings(), Context("compressor", clock)
+        )
         chosen = {"preset": "paper", "iterations": 1, "fast": "off", **stated}
-        self.node = Reconstructor(ReconstructorSettings(**chosen), Context("reconstructor", clock))
+        self.node = Reconstructor(
+            ReconstructorSettings(**chosen), Context("reconstructor", clock)
+        )
         self.host = NodeHost(self.node, "1" * 16, print)
         endpoint = f"inproc://{os.urandom(8).hex()}"
         self.writer = Writer(context, endpoint, "compressor")
@@ -171,13 +175,17 @@ def frames():
         ("file:log.npy", 50.0, False),
     ],
 )
-def test_a_skin_is_live_where_a_clock_sets_the_pace(source, rate_hz, live, tmp_path, monkeypatch):
+def test_a_skin_is_live_where_a_clock_sets_the_pace(
+    source, rate_hz, live, tmp_path, monkeypatch
+):
     (tmp_path / "pad.py").write_text(PAD)
     np.save(tmp_path / "log.npy", np.full((3, 8, 8), 0.5, np.float32))
     monkeypatch.chdir(tmp_path)
     monkeypatch.syspath_prepend(str(tmp_path))
     unit = {"unit": "N"} if source.startswith("file") else {}
-    chosen = Sensor.Settings.from_mapping({"source": source, "rate_hz": rate_hz, **unit})
+    chosen = Sensor.Settings.from_mapping(
+        {"source": source, "rate_hz": rate_hz, **unit}
+    )
     sensor = Sensor(chosen, Context("sensor", ManualClock(1)))
     (skin,) = sensor.start()
     assert skin.live is live

@@ -26,12 +26,20 @@ BATCH = {"patch": "body", "patches": ("left", "right", "back", "hand")}
 @functools.cache
 def batches(skip_idle=True):
     """Reconstructions and true forces of a walking body, two patches of which are idle."""
-    skin = {"simulated": {"n_rows": SIDE, "n_cols": SIDE}, "source": "scene:walk", "active": 0.5}
+    skin = {
+        "simulated": {"n_rows": SIDE, "n_cols": SIDE},
+        "source": "scene:walk",
+        "active": 0.5,
+    }
     bus = chain(
-        sensor=BATCH | skin, compressor=BATCH, reconstructor=BATCH | {"skip_idle": skip_idle}
+        sensor=BATCH | skin,
+        compressor=BATCH,
+        reconstructor=BATCH | {"skip_idle": skip_idle},
     )
     made = [m for messages in bus.frames(60) for m in messages]
-    return [[m for m in made if isinstance(m, kind)] for kind in (Reconstruction, Truth)]
+    return [
+        [m for m in made if isinstance(m, kind)] for kind in (Reconstruction, Truth)
+    ]
 
 
 @pytest.mark.parametrize("pressed", [False, True])
@@ -109,7 +117,9 @@ def served(frames, **settings):
     sigmas = {"sigma_mid": 0.0628, "sigma_end": 0.0141}
     skin = skin_state(n_rows=n_rows, n_cols=n_cols, mask=None, **sigmas)
     edge = Compressor(Compressor.Settings(), Context("edge", ManualClock(1)))
-    host = Reconstructor(Reconstructor.Settings(**settings), Context("host", ManualClock(1)))
+    host = Reconstructor(
+        Reconstructor.Settings(**settings), Context("host", ManualClock(1))
+    )
     messages = [skin, *edge.step(skin)]
     for k, forces in enumerate(frames):
         messages += edge.step(Taxels(stamp_ns=k + 1, patch="skin", forces=forces))
@@ -118,7 +128,12 @@ def served(frames, **settings):
 
 
 def test_a_patch_that_is_served_alone_is_skipped_too():
-    rest = np.random.default_rng(0).normal(0, 0.0141, (40, 8, 8)).clip(0).astype(np.float32)
+    rest = (
+        np.random.default_rng(0)
+        .normal(0, 0.0141, (40, 8, 8))
+        .clip(0)
+        .astype(np.float32)
+    )
     sent = [len(one.forces) for one in served(rest, skip_idle=True)]
     assert len(sent) == 40
     assert sum(sent[:12]) == 12
@@ -145,7 +160,11 @@ def test_an_idle_patch_whose_board_hangs_is_not_trusted_until_it_changes():
     sigmas = {"sigma_mid": 0.02, "sigma_end": 0.02}
     state = skin_state("body", n_rows=SIDE, n_cols=SIDE, mask=None, **sigmas)
     phi_state = PhiState(
-        stamp_ns=0, patch="body", fingerprint=phi.fingerprint, rows="fixed", **phi.describe()
+        stamp_ns=0,
+        patch="body",
+        fingerprint=phi.fingerprint,
+        rows="fixed",
+        **phi.describe(),
     )
     for message in (state, phi_state):
         list(node.step(message))

@@ -36,18 +36,48 @@ def test_of_presets_and_of_a_solvers_own_settings_nothing_is_said():
     basis = make_basis("haar", *SHAPE)
     for name in ("skin", "fista"):
         solver = make_solver(name, phi, basis)
-        own = {"iterations": solver.n_steps, "lambda_n": getattr(solver, "lambda_n", None)}
-        assert warnings_of(name, **{k: v for k, v in own.items() if v is not None}) == []
+        own = {
+            "iterations": solver.n_steps,
+            "lambda_n": getattr(solver, "lambda_n", None),
+        }
+        assert (
+            warnings_of(name, **{k: v for k, v in own.items() if v is not None}) == []
+        )
 
 
 @pytest.mark.parametrize(
     ("solver", "options", "said", "advised"),
     [
-        ("fista", {"lambda_n": 0.1}, "lambda_n = 0.1: forces are shrunk away", "0.0006 to 0.015"),
-        ("fista", {"lambda_n": 1e-4}, "lambda_n = 0.0001: the noise is fitted", "0.0006 to 0.015"),
-        ("fista", {"iterations": 5}, "iterations = 5: fista takes several frames", "15 or more"),
-        ("fista", {"basis": "identity"}, "basis = identity with m = 533 of n = 1600", "haar"),
-        ("skin", {"iterations": 4}, "iterations = 4: skin takes several frames", "5 or more"),
+        (
+            "fista",
+            {"lambda_n": 0.1},
+            "lambda_n = 0.1: forces are shrunk away",
+            "0.0006 to 0.015",
+        ),
+        (
+            "fista",
+            {"lambda_n": 1e-4},
+            "lambda_n = 0.0001: the noise is fitted",
+            "0.0006 to 0.015",
+        ),
+        (
+            "fista",
+            {"iterations": 5},
+            "iterations = 5: fista takes several frames",
+            "15 or more",
+        ),
+        (
+            "fista",
+            {"basis": "identity"},
+            "basis = identity with m = 533 of n = 1600",
+            "haar",
+        ),
+        (
+            "skin",
+            {"iterations": 4},
+            "iterations = 4: skin takes several frames",
+            "5 or more",
+        ),
         (
             "skin",
             {"basis": "identity"},
@@ -56,7 +86,9 @@ def test_of_presets_and_of_a_solvers_own_settings_nothing_is_said():
         ),
     ],
 )
-def test_settings_that_fail_are_said_in_a_line_with_what_is_advised(solver, options, said, advised):
+def test_settings_that_fail_are_said_in_a_line_with_what_is_advised(
+    solver, options, said, advised
+):
     (warning,) = warnings_of(solver, **options)
     assert warning.startswith(said)
     assert warning.endswith(f"advised: {advised}")
@@ -64,7 +96,9 @@ def test_settings_that_fail_are_said_in_a_line_with_what_is_advised(solver, opti
 
 
 def test_a_setting_that_the_solver_does_not_have_is_refused_before_anything_starts():
-    with pytest.raises(SettingsError, match=r"^lambda_n: solver skin has none; allowed: "):
+    with pytest.raises(
+        SettingsError, match=r"^lambda_n: solver skin has none; allowed: "
+    ):
         Reconstructor.Settings(preset="skin", lambda_n=0.01).check()
     Reconstructor.Settings(preset="paper", lambda_n=0.01).check()
     Reconstructor.Settings(solver="fista", lambda_n=0.01, iterations=60).check()
@@ -123,7 +157,10 @@ def test_a_matrix_that_a_solver_can_use_passes(phi):
 @pytest.mark.parametrize(
     ("phi", "fault"),
     [
-        (own(times=np.float32(2**0.5)), r"lipschitz says 1 but the largest eigenvalue .* is 2,"),
+        (
+            own(times=np.float32(2**0.5)),
+            r"lipschitz says 1 but the largest eigenvalue .* is 2,",
+        ),
         (own(order_out=ORDER), "adjoint is not the transpose of forward"),
     ],
 )
@@ -134,7 +171,9 @@ def test_a_matrix_that_would_give_wrong_forces_is_refused(phi, fault):
 
 def test_a_matrix_that_measures_contacts_unevenly_is_warned_of():
     """Taxels are dealt out in order: a pad falls into few of the blocks."""
-    (warning,) = check_phi(own(4, order_in=np.argsort(ORDER), order_out=ORDER), EVERYWHERE)
+    (warning,) = check_phi(
+        own(4, order_in=np.argsort(ORDER), order_out=ORDER), EVERYWHERE
+    )
     assert "some contacts are measured far better than others" in warning
 
 
@@ -172,13 +211,27 @@ def test_users_own_matrix_is_checked_before_the_first_frame():
         ("sbhe", 100, 8, None, ""),
         ("full", 1600, 32, None, ""),
         ("gaussian", 200, 1, None, ""),
-        ("sbhe", 99, 32, None, "m = 99 of n = 1600 taxels: more than one small contact is not"),
+        (
+            "sbhe",
+            99,
+            32,
+            None,
+            "m = 99 of n = 1600 taxels: more than one small contact is not",
+        ),
         ("sbhe", 533, 4, None, "block = 4: most measurements see no pressed taxel"),
-        ("subsample", 400, 32, None, "phi = subsample: a contact of fewer than 4 taxels may touch"),
+        (
+            "subsample",
+            400,
+            32,
+            None,
+            "phi = subsample: a contact of fewer than 4 taxels may touch",
+        ),
         ("sbhe", 533, 32, 4, "bits = 4: the steps of the quantiser lose"),
     ],
 )
-def test_settings_that_reconstruct_badly_are_warned_of_in_a_line(kind, m, block, bits, message):
+def test_settings_that_reconstruct_badly_are_warned_of_in_a_line(
+    kind, m, block, bits, message
+):
     warnings = compression_warnings(kind, 1600, m, block, bits)
     assert len(warnings) == bool(message)
     for warning in warnings:

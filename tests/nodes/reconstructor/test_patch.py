@@ -96,7 +96,9 @@ def test_the_residual_is_the_root_mean_square_of_what_the_forces_do_not_explain(
         solved = bench.frame(readings)
     y = PHI.forward(FRAMES[-1].reshape(-1))
     unexplained = y - PHI.forward(solved.forces.reshape(-1))
-    assert solved.residual == pytest.approx(np.sqrt(np.mean(np.square(unexplained))), rel=1e-4)
+    assert solved.residual == pytest.approx(
+        np.sqrt(np.mean(np.square(unexplained))), rel=1e-4
+    )
 
 
 def test_of_missing_taxels_nothing_is_known():
@@ -201,7 +203,9 @@ def test_another_solver_in_the_middle_of_a_stream_begins_with_the_last_forces():
     bench = Bench(solver="fista", basis="haar", iterations=60)
     for readings in FRAMES:
         before = bench.frame(readings)
-    settings = ReconstructorSettings(solver="fista", basis="haar", iterations=1, fast="off")
+    settings = ReconstructorSettings(
+        solver="fista", basis="haar", iterations=1, fast="off"
+    )
     bench.patch.set_up(settings, [PHI], skin_state(**SKIN), announced(PHI), live=False)
     after = bench.frame(FRAMES[-1])
     change = np.linalg.norm(after.forces - before.forces)

@@ -30,7 +30,9 @@ def worlds(draw, has_fault=False, **parts):
 
 
 @given(world=worlds(rows=ROTATING), through=st.sampled_from(THROUGH))
-def test_without_a_fault_few_frames_are_wrong_and_trusted_and_hardly_anything_stays(world, through):
+def test_without_a_fault_few_frames_are_wrong_and_trusted_and_hardly_anything_stays(
+    world, through
+):
     world = replace(world, noise=world.noise._replace(is_stated=True))
     verdict = judge(world, through, "off")
     # Largest part of 900 worlds: 2 frames of 46, at the first touch of a load.
@@ -69,7 +71,11 @@ def test_a_stated_part_leaves_the_others_as_they_are(seed, rows):
 
 def test_all_ways_lead_to_the_same_forces():
     world = draw_world(7, False, sides=(12,), times=SHORT)
-    answers = {way: [a for _, a in stream(world, "off")] for way, stream in WAYS.items()}
+    answers = {
+        way: [a for _, a in stream(world, "off")] for way, stream in WAYS.items()
+    }
     for k in range(SHORT.end):
         for way in WAYS:
-            np.testing.assert_array_equal(answers[way][k].forces, answers["Stream"][k].forces)
+            np.testing.assert_array_equal(
+                answers[way][k].forces, answers["Stream"][k].forces
+            )

@@ -29,7 +29,9 @@ def contents(path):
     with BagReader(path) as bag:
         assert bag.recovered == ""
         assert not any(bag.counts["lost"].values())
-        return {t: [(m.stamp_ns, m.payload) for m in bag.messages([t])] for t in bag.topics}
+        return {
+            t: [(m.stamp_ns, m.payload) for m in bag.messages([t])] for t in bag.topics
+        }
 
 
 def topics(path):
@@ -45,13 +47,17 @@ def topics(path):
 
 
 @pytest.mark.slow
-def test_played_in_lockstep_and_recorded_again_it_is_the_same_but_for_the_run(start, tmp_path):
+def test_played_in_lockstep_and_recorded_again_it_is_the_same_but_for_the_run(
+    start, tmp_path
+):
     launched = start(
         *("launch", "path_40", "--frames", str(N_FRAMES), "--record", "first.mcap"),
         *("--set", "sensor.rate_hz=0", "--set", "reconstructor.iterations=5"),
     )
     stdout, _ = launched.ended()
-    assert re.fullmatch(r"first.mcap: \d+ messages recorded, 0 dropped", stdout.splitlines()[-1])
+    assert re.fullmatch(
+        r"first.mcap: \d+ messages recorded, 0 dropped", stdout.splitlines()[-1]
+    )
     player = start("play", "first.mcap", "--lockstep", "--rate", "0")
     player.wait_for("[launch] ready")
     note_of_graph(tmp_path / "graphs")
@@ -61,7 +67,8 @@ def test_played_in_lockstep_and_recorded_again_it_is_the_same_but_for_the_run(st
     first, second = (
         {
             topic: [
-                (ns, decode(topic.encode(), p).published("", k)) for k, (ns, p) in enumerate(of)
+                (ns, decode(topic.encode(), p).published("", k))
+                for k, (ns, p) in enumerate(of)
             ]
             for topic, of in contents(tmp_path / name).items()
         }
@@ -73,31 +80,45 @@ def test_played_in_lockstep_and_recorded_again_it_is_the_same_but_for_the_run(st
 
 @pytest.mark.slow
 @pytest.mark.parametrize("killed", [False, True])
-def test_a_recorder_joins_a_running_graph_by_topic_and_ends_with_it(start, tmp_path, killed):
+def test_a_recorder_joins_a_running_graph_by_topic_and_ends_with_it(
+    start, tmp_path, killed
+):
     graph = start("launch", "path_40", "--summary", "out.json", *SLOWLY)
     graph.wait_for("[launch] ready")
     recorder = start("record", "/skin/skin", "/skin/rec*", "--out", "some.mcap")
     recorder.wait_for("[launch] ready")
     part = tmp_path / "some.mcap.part"
-    wait_until(lambda: "/skin/reconstruction" in topics(part), "a reconstruction in the file")
+    wait_until(
+        lambda: "/skin/reconstruction" in topics(part), "a reconstruction in the file"
+    )
     graph.process.send_signal(signal.SIGKILL if killed else signal.SIGINT)
     stdout, stderr = recorder.ended()
     assert stdout.startswith("some.mcap: ")
     found = contents(tmp_path / "some.mcap")
     assert set(found) == {"/skin/skin", "/skin/reconstruction"}
     if killed:
-        assert "was gone before its streams had ended: its last messages may be miss" in stderr
+        assert (
+            "was gone before its streams had ended: its last messages may be miss"
+            in stderr
+        )
         return
     assert graph.finish()[0] == 130
     # It saw the graph to its very end.
     last = decode(b"/skin/reconstruction", found["/skin/reconstruction"][-1][1])
-    frames = json.loads((tmp_path / "out.json").read_text())["patches"]["skin"]["frames"]
+    frames = json.loads((tmp_path / "out.json").read_text())["patches"]["skin"][
+        "frames"
+    ]
     assert last.seq == frames["reconstructed"] - 1
 
 
-def test_the_end_names_the_file_that_a_killed_recorder_has_left(start, sensor, tmp_path):
+def test_the_end_names_the_file_that_a_killed_recorder_has_left(
+    start, sensor, tmp_path
+):
     graph = start("launch", sensor, "--record", "run.mcap")
-    wait_until(lambda: "/skin/taxels" in topics(tmp_path / "run.mcap.part"), "frames in the file")
+    wait_until(
+        lambda: "/skin/taxels" in topics(tmp_path / "run.mcap.part"),
+        "frames in the file",
+    )
     os.kill(graph.pid_of("recorder"), signal.SIGKILL)
     graph.wait_for("[launch] recorder ended too early")
     graph.process.send_signal(signal.SIGINT)
@@ -127,9 +148,24 @@ def test_an_interrupted_recorder_completes_its_file(start, sensor, tmp_path):
 
 STATES = [
     skin_state(),
-    PhiState(stamp_ns=0, patch="skin", kind="sbhe", n=34, m=12, block=32, seed=0, fingerprint=PHI),
+    PhiState(
+        stamp_ns=0,
+        patch="skin",
+        kind="sbhe",
+        n=34,
+        m=12,
+        block=32,
+        seed=0,
+        fingerprint=PHI,
+    ),
     SolverState(
-        stamp_ns=0, patch="skin", solver="skin", basis="", preset="skin", iterations=3, lambda_n=0.0
+        stamp_ns=0,
+        patch="skin",
+        solver="skin",
+        basis="",
+        preset="skin",
+        iterations=3,
+        lambda_n=0.0,
     ),
 ]
 
@@ -137,7 +173,9 @@ STATES = [
 def test_messages_reach_the_disk_after_a_tenth_of_a_second(tmp_path, monkeypatch):
     clock = FakeClock()
     path = tmp_path / "a.mcap"
-    monkeypatch.setattr(recorder_module, "BagWriter", functools.partial(BagWriter, monotonic=clock))
+    monkeypatch.setattr(
+        recorder_module, "BagWriter", functools.partial(BagWriter, monotonic=clock)
+    )
     settings = Recorder.Settings(out=str(path))
     recorder = Recorder(settings, Context("recorder", ManualClock()))
     for state in STATES:

@@ -43,7 +43,9 @@ def yielding(module, *pairs):
 
 class TestFrames:
     def test_frames_and_skin_of_a_generator_are_those_from_the_first_on(self, module):
-        source = yielding(module, "(1000, np.full((2, 3), 0.5))", "(1010, [[1, 2, 0], [0, 1, 2]])")
+        source = yielding(
+            module, "(1000, np.full((2, 3), 0.5))", "(1010, [[1, 2, 0], [0, 1, 2]])"
+        )
         assert source.skin.shape == (2, 3)
         assert source.skin.f_max == 2.5
         assert source.skin.unit == "N"
@@ -59,12 +61,18 @@ class TestFrames:
 
     def test_a_first_frame_of_another_shape_than_stated_is_refused(self, module):
         name = module("def frames():\n    yield 0, np.zeros((2, 3))\n")
-        assert open_source(f"{name}:frames", layout=Layout(n_rows=2, n_cols=3)).skin.shape == (2, 3)
-        with pytest.raises(SourceError, match="n_cols = 4 is stated, but the frames have 3"):
+        assert open_source(
+            f"{name}:frames", layout=Layout(n_rows=2, n_cols=3)
+        ).skin.shape == (2, 3)
+        with pytest.raises(
+            SourceError, match="n_cols = 4 is stated, but the frames have 3"
+        ):
             open_source(f"{name}:frames", layout=Layout(n_rows=2, n_cols=4))
 
     def test_readings_beyond_the_range_saturate_and_are_counted(self, module):
-        source = yielding(module, "(0, [[-0.1, 2.6, 2.5, 0.0]])", "(1, [[1e300, 1, 1, -1e300]])")
+        source = yielding(
+            module, "(0, [[-0.1, 2.6, 2.5, 0.0]])", "(1, [[1e300, 1, 1, -1e300]])"
+        )
         expected = [[[0, 2.5, 2.5, 0]], [[2.5, 1, 1, 0]]]
         np.testing.assert_array_equal([forces for _, forces in source], expected)
         assert source.clipped.n == 4
@@ -72,9 +80,18 @@ class TestFrames:
     @pytest.mark.parametrize(
         ("second", "message"),
         [
-            ("(1, np.zeros((3, 2)))", r"frame 1: forces have shape \(3, 2\), .* skin has \(2, 3\)"),
-            ("(1, [[0, np.nan, 0], [0, 0, 0]])", "frame 1, row 0, column 1: nan is no force"),
-            ("(1, np.zeros((2, 3), complex))", "dtype 'complex128'; allowed are integers"),
+            (
+                "(1, np.zeros((3, 2)))",
+                r"frame 1: forces have shape \(3, 2\), .* skin has \(2, 3\)",
+            ),
+            (
+                "(1, [[0, np.nan, 0], [0, 0, 0]])",
+                "frame 1, row 0, column 1: nan is no force",
+            ),
+            (
+                "(1, np.zeros((2, 3), complex))",
+                "dtype 'complex128'; allowed are integers",
+            ),
             ("(1, [[1, 2], [3]])", "forces are no array of numbers"),
             ("(0, np.zeros((2, 3)))", "stamp_ns 0 is not after the one before it, 0"),
             ("(2**63, np.zeros((2, 3)))", r"more than 2\*\*63 ns after the first"),
@@ -89,7 +106,9 @@ class TestFrames:
         shown = refusal(lambda: next(reader), SourceError)
         assert re.search(f"{source.name}.*{message}", shown)
 
-    def test_a_stamp_that_goes_back_by_a_second_is_of_a_clock_that_was_started_again(self, module):
+    def test_a_stamp_that_goes_back_by_a_second_is_of_a_clock_that_was_started_again(
+        self, module
+    ):
         source = yielding(module, *(f"({k} * 10**9, [[1.0]])" for k in (5, 4, 7)))
         assert [stamp for stamp, _ in source] == [0, 1, 3 * 10**9 + 1]
 
@@ -148,12 +167,20 @@ class TestSourceObject:
         assert source.clipped.n == 1
 
     @pytest.mark.parametrize("delivers", ["truth", "taxels"])
-    def test_a_sensor_has_a_topic_of_the_truth_where_there_is_one(self, module, delivers):
+    def test_a_sensor_has_a_topic_of_the_truth_where_there_is_one(
+        self, module, delivers
+    ):
         hand = module(self.BODY.replace('"truth"', f'"{delivers}"')) + ":Hand"
         sensor = Sensor(SensorSettings(source=hand), Context("sensor", ManualClock()))
         assert sensor.unused == ("/skin/truth",) * (delivers == "taxels")
-        for source, known in (("scene:path_40", True), ("file:a.npy", False), (hand, True)):
-            assert ("/skin/truth" in Sensor.outputs(SensorSettings(source=source))) == known
+        for source, known in (
+            ("scene:path_40", True),
+            ("file:a.npy", False),
+            (hand, True),
+        ):
+            assert (
+                "/skin/truth" in Sensor.outputs(SensorSettings(source=source))
+            ) == known
 
     @pytest.mark.parametrize(
         ("old", "new", "message"),
@@ -161,7 +188,11 @@ class TestSourceObject:
             ("4.0", "2.0", r"f_max = 4\.0 is stated, .* skin has 2\.0"),
             ('"truth"', '"noise"', "delivers = 'noise'; allowed are truth, taxels"),
             ("n_frames = 1", "n_frames = 1.5", "n_frames = '1.5'"),
-            ("def __iter__", "def frames", "returned Hand; expected a generator or an iterable"),
+            (
+                "def __iter__",
+                "def frames",
+                "returned Hand; expected a generator or an iterable",
+            ),
         ],
     )
     def test_attributes_that_cannot_hold_are_refused(self, module, old, new, message):
@@ -174,7 +205,10 @@ class TestName:
     @pytest.mark.parametrize(
         ("target", "message"),
         [
-            *((t, "expected module:callable") for t in ("", "frames", "a_module:", ":frames")),
+            *(
+                (t, "expected module:callable")
+                for t in ("", "frames", "a_module:", ":frames")
+            ),
             ("no_such_skin:frames", "there is no module 'no_such_skin'"),
         ],
     )
@@ -187,13 +221,22 @@ class TestName:
     @pytest.mark.parametrize(
         ("body", "message"),
         [
-            ("def frame():\n    yield 0, [[1.0]]", r"has no 'frames' \(did you mean 'frame'\?"),
+            (
+                "def frame():\n    yield 0, [[1.0]]",
+                r"has no 'frames' \(did you mean 'frame'\?",
+            ),
             ("frames = 3", "is int, which cannot be called"),
             ("def frames():\n    yield 0, np.zeros((0, 3))", "an item holds 0 numbers"),
-            ("def frames():\n    yield 0, np.ones((1, 2), int)", "whole numbers, .*; add unit=c"),
+            (
+                "def frames():\n    yield 0, np.ones((1, 2), int)",
+                "whole numbers, .*; add unit=c",
+            ),
             ("def frames():\n    yield from ()\n", "ended before its first frame"),
             ("def frames(port):\n    yield", "the driver failed: TypeError: .*'port'"),
-            ("def frames():\n    raise OSError('no\\nport')", "failed: OSError: no port"),
+            (
+                "def frames():\n    raise OSError('no\\nport')",
+                "failed: OSError: no port",
+            ),
             ("raise SystemExit(3)", "importing it failed: SystemExit: 3"),
         ],
     )

@@ -23,7 +23,9 @@ NAN = float("nan")
 
 @given(
     frames=arrays(
-        np.float32, (4, 5, 6), elements=st.sampled_from([0.0, 0.5, 2.0, NAN, np.inf, -np.inf])
+        np.float32,
+        (4, 5, 6),
+        elements=st.sampled_from([0.0, 0.5, 2.0, NAN, np.inf, -np.inf]),
     ),
     exists=arrays(np.bool_, (5, 6)).filter(np.any),
     way=st.sampled_from(["mask", "hold", "zero"]),
@@ -76,10 +78,14 @@ def test_a_driver_s_silent_cells_are_masked_until_they_give_a_number(driver):
     assert taxels[3].forces[0, 0, 0] == 0
     bus.close()
     options = [f"sensor.source={source}", "sensor.nan=mask"]
-    assert len(list(sparseskin.run_launch("replay", None, options))) == 4  # none is refused
+    assert (
+        len(list(sparseskin.run_launch("replay", None, options))) == 4
+    )  # none is refused
 
 
-def test_a_taxel_that_was_silent_during_the_tare_has_no_force_before_the_next_one(driver):
+def test_a_taxel_that_was_silent_during_the_tare_has_no_force_before_the_next_one(
+    driver,
+):
     frames = np.full((4, 3, 4), 100.0, np.float32)
     frames[:2, 1, 2] = NAN
     frames[:1, 2, 2] = NAN
@@ -108,16 +114,24 @@ def pressed(tmp_path_factory):
     """Truth and readings while a body presses, (20, 40, 40), and the largest error of a frame."""
     truth, taxels = (part[300:] for part in sparseskin.simulate("path_40", 320))
     frames = replayed(taxels, tmp_path_factory.mktemp("whole"), "refuse")
-    return truth, taxels, max(rms(f.forces - t) for f, t in zip(frames, truth, strict=True))
+    return (
+        truth,
+        taxels,
+        max(rms(f.forces - t) for f, t in zip(frames, truth, strict=True)),
+    )
 
 
 @settings(max_examples=8)
 @given(
     way=st.sampled_from(["mask", "hold"]),
-    parts=st.lists(st.tuples(*[st.integers(0, 39)] * 4, st.integers(0, 19)), max_size=6),
+    parts=st.lists(
+        st.tuples(*[st.integers(0, 39)] * 4, st.integers(0, 19)), max_size=6
+    ),
     flicker=st.floats(0, 0.2),
 )
-def test_missing_readings_spoil_no_trusted_force(pressed, tmp_path_factory, way, parts, flicker):
+def test_missing_readings_spoil_no_trusted_force(
+    pressed, tmp_path_factory, way, parts, flicker
+):
     truth, taxels, usual = pressed
     readings = taxels.copy()
     for row, col, n_rows, n_cols, first in parts:
@@ -135,7 +149,9 @@ def forces(*values):
 
 def test_sigma_is_largest_at_mid_range_and_falls_linearly_to_both_ends():
     sigma = NoiseModel().sigma(forces(0.0, 0.625, 1.25, 1.875, 2.5))
-    np.testing.assert_allclose(sigma, [0.0141, 0.03845, 0.0628, 0.03845, 0.0141], rtol=1e-6)
+    np.testing.assert_allclose(
+        sigma, [0.0141, 0.03845, 0.0628, 0.03845, 0.0141], rtol=1e-6
+    )
     assert sigma.dtype == np.float32
 
 
@@ -143,7 +159,9 @@ def test_sigma_is_largest_at_mid_range_and_falls_linearly_to_both_ends():
 def test_variance_is_that_of_the_readings(clips):
     model = NoiseModel(clips=clips)
     force = forces(0.0, 0.007, 0.0141, 0.03, 1.0)[:, np.newaxis]
-    readings = force + model.sigma(force) * np.random.default_rng(1).standard_normal((5, 100_000))
+    readings = force + model.sigma(force) * np.random.default_rng(1).standard_normal(
+        (5, 100_000)
+    )
     found = np.var(np.maximum(readings, 0 if clips else -1), axis=1, keepdims=True)
     np.testing.assert_allclose(model.variance(force), found, rtol=0.1)
 
@@ -153,7 +171,10 @@ def test_untouched_skin_has_a_noisy_psnr_of_48_db():
     rng = np.random.default_rng(0)
     truth = np.zeros((40, 40), dtype=np.float32)
     psnr = [
-        20 * math.log10(2.5 / math.sqrt(np.mean(np.square(model.apply(truth, rng), dtype=float))))
+        20
+        * math.log10(
+            2.5 / math.sqrt(np.mean(np.square(model.apply(truth, rng), dtype=float)))
+        )
         for _ in range(400)
     ]
     assert np.mean(psnr) == pytest.approx(48.0, abs=0.3)
@@ -167,7 +188,9 @@ def test_readings_stay_in_the_range_and_the_truth_is_left_alone():
     assert taxels.min() == 0.0
     assert taxels.max() == 2.5
     np.testing.assert_array_equal(truth, kept)
-    error = taxels[truth == 1.25].astype(float) - 1.25  # of zero mean and the stated sigma
+    error = (
+        taxels[truth == 1.25].astype(float) - 1.25
+    )  # of zero mean and the stated sigma
     assert abs(error.mean()) < 5 * 0.0628 / math.sqrt(error.size)
     assert error.std() == pytest.approx(0.0628, rel=0.01)
     assert not np.shares_memory(taxels, truth)
@@ -189,6 +212,10 @@ def test_noise_is_a_multiple_of_the_papers_in_parts_of_the_range_and_may_be_none
         ("sigma_end", -0.1, "0 to f_max = 2.5"),
     ],
 )
-def test_bad_parameter_is_named_with_its_value_and_the_allowed_range(name, value, allowed):
-    with pytest.raises(SettingsError, match=rf"{name} is {value!r}; allowed is {allowed}"):
+def test_bad_parameter_is_named_with_its_value_and_the_allowed_range(
+    name, value, allowed
+):
+    with pytest.raises(
+        SettingsError, match=rf"{name} is {value!r}; allowed is {allowed}"
+    ):
         NoiseModel(**{name: value})

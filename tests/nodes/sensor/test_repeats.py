@@ -43,7 +43,9 @@ def test_stuck_taxels_of_any_shape_are_found_and_no_others(seed, n_stuck, value)
     places = np.random.default_rng(seed).choice(14 * 14, n_stuck, replace=False)
     watch = Repeats(SKIN)
     reasons = []
-    for k, readings in enumerate(frames(seed, N_BEFORE + 2 * LEAST_RUN_AT_END, force=0.3)):
+    for k, readings in enumerate(
+        frames(seed, N_BEFORE + 2 * LEAST_RUN_AT_END, force=0.3)
+    ):
         if k >= N_BEFORE:
             readings.flat[places] = value
         reasons.append(watch.reason(readings))
@@ -96,8 +98,14 @@ def test_the_number_of_repetitions_follows_from_the_noise_of_untouched_taxels(sh
     assert n_repeats == pytest.approx(needed, rel=0.15, abs=1)
 
 
-@given(seed=st.integers(0, 2**32 - 1), n_stuck=st.integers(1, 40), value=st.floats(0.5, 2.4))
-def test_stuck_taxels_have_the_mean_of_the_working_ones_beside_them(seed, n_stuck, value):
+@given(
+    seed=st.integers(0, 2**32 - 1),
+    n_stuck=st.integers(1, 40),
+    value=st.floats(0.5, 2.4),
+)
+def test_stuck_taxels_have_the_mean_of_the_working_ones_beside_them(
+    seed, n_stuck, value
+):
     places = np.random.default_rng(seed).choice(14 * 14, n_stuck, replace=False)
     watch = Repeats(SKIN)
     for k, readings in enumerate(frames(seed, N_BEFORE + 20, force=0.3)):

@@ -62,14 +62,19 @@ def test_drawn_rests_are_noticed_and_drawn_loads_are_not():
                 hidden = sum(rests.are_hidden(world, found))
                 wrong[kind] += hidden > 4  # while a load begins
             else:
-                wrong[kind] += rests.is_missed(world, found) or rests.is_false_alarm(world, found)
+                wrong[kind] += rests.is_missed(world, found) or rests.is_false_alarm(
+                    world, found
+                )
     assert all(n <= 1 for n in wrong.values()), wrong
 
 
 @pytest.mark.parametrize(
-    ("level", "n_lifted", "found"), [(0.3, 100, True), (0.3, 80, False), (0.0, 100, False)]
+    ("level", "n_lifted", "found"),
+    [(0.3, 100, True), (0.3, 80, False), (0.0, 100, False)],
 )
-def test_what_nearly_all_taxels_read_at_first_is_named_with_its_answers(level, n_lifted, found):
+def test_what_nearly_all_taxels_read_at_first_is_named_with_its_answers(
+    level, n_lifted, found
+):
     rng = np.random.default_rng(0)
     rest = Rest(SKIN)
     n_new = 0
@@ -96,7 +101,9 @@ def test_an_even_load_from_the_first_frame_is_trusted_once_most_of_it_is_gone():
 
 
 @settings(max_examples=30)
-@given(seed=st.integers(0, 2**32 - 1), sigma=st.floats(0.001, 0.5), low=st.floats(-1, 0))
+@given(
+    seed=st.integers(0, 2**32 - 1), sigma=st.floats(0.001, 0.5), low=st.floats(-1, 0)
+)
 def test_noise_around_0_is_neither_clipped_nor_of_a_sign(seed, sigma, low):
     rng = np.random.default_rng(seed)
     clipped = Clipped()
@@ -107,7 +114,9 @@ def test_noise_around_0_is_neither_clipped_nor_of_a_sign(seed, sigma, low):
 
 
 @pytest.mark.parametrize(("n_clipped", "reason"), [(1, ""), (2, Reason.CLIPPED)])
-def test_a_frame_with_more_than_1_percent_of_clipped_readings_is_not_trusted(n_clipped, reason):
+def test_a_frame_with_more_than_1_percent_of_clipped_readings_is_not_trusted(
+    n_clipped, reason
+):
     frame = np.zeros(SKIN.shape)
     clipped = Clipped()
     clipped.add(frame, 0.0, 2.5)
@@ -169,22 +178,30 @@ def test_a_graph_trusts_a_level_at_rest_once_it_is_answered(folder, kind, sign):
 
 
 @pytest.mark.parametrize(("kind", "answer"), [("falls", "false"), ("rises", "true")])
-def test_readings_of_the_other_sign_are_not_trusted_and_a_line_says_which(folder, kind, answer):
+def test_readings_of_the_other_sign_are_not_trusted_and_a_line_says_which(
+    folder, kind, answer
+):
     log = []
     context = Context("sensor", ManualClock(), log=log.append)
-    chosen = Sensor.Settings(source=f"file:{kind}.npy", tare=30, invert=answer == "true")
+    chosen = Sensor.Settings(
+        source=f"file:{kind}.npy", tare=30, invert=answer == "true"
+    )
     sensor = Sensor(chosen, context)
     reasons = [message.reason for message in taxels_of(sensor)]
     assert reasons[:5] == [("",)] * 5
     assert reasons[-N_PRESSED:] == [("sign",)] * N_PRESSED
     other = {"false": "true", "true": "false"}[answer]
-    assert any(f"; add sensor.invert={other} if a press does that" in line for line in log)
+    assert any(
+        f"; add sensor.invert={other} if a press does that" in line for line in log
+    )
     assert any(f"sensor.invert={other}" in line for line in sensor.report()["lines"])
 
 
 @pytest.mark.parametrize("negative", ["zero", "keep"])
 @pytest.mark.parametrize(("sign", "reason"), [(1, ""), (-1, "sign")])
-def test_a_file_of_tared_readings_that_fall_is_not_trusted(folder, negative, sign, reason):
+def test_a_file_of_tared_readings_that_fall_is_not_trusted(
+    folder, negative, sign, reason
+):
     np.save("tared.npy", readings(sign, level=0).astype(np.float32))
     words = ["file:tared.npy", f"negative={negative}", "unit=counts"]
     assert {frame.reason for frame in replayed(*words)[-N_PRESSED:]} == {reason}
@@ -196,7 +213,8 @@ def test_a_file_of_tared_readings_that_fall_is_not_trusted(folder, negative, sig
 
 def test_the_sign_may_be_changed_while_a_graph_runs(folder):
     sensor = Sensor(
-        Sensor.Settings(source="file:falls.npy", tare=30), Context("sensor", ManualClock())
+        Sensor.Settings(source="file:falls.npy", tare=30),
+        Context("sensor", ManualClock()),
     )
     frames = taxels_of(sensor)
     assert any(message.reason == ("sign",) for message in frames)
@@ -211,7 +229,9 @@ def test_the_sign_is_refused_where_the_file_of_the_skin_has_one(folder):
     gains = np.full(SHAPE, -1.0)
     save_skin(folder / "s.toml", SkinDescription("s", *SHAPE, 1000.0, gains=gains))
     chosen = Sensor.Settings(source="file:falls.npy", skin="s.toml", invert=True)
-    with pytest.raises(SettingsError, match=r"^invert: the gains in the file of the skin"):
+    with pytest.raises(
+        SettingsError, match=r"^invert: the gains in the file of the skin"
+    ):
         chosen.check()
 
 
@@ -219,11 +239,16 @@ def test_the_sign_is_refused_where_the_file_of_the_skin_has_one(folder):
 def test_an_imported_recording_carries_the_doubt_and_its_answers(folder, kind, capsys):
     assert main(["recording", "import", f"{kind}.npy", "--out", "a.mcap"]) == 0
     printed = capsys.readouterr().err
-    assert "; add --tare 30 if nothing touched them, --tare 0 if these are forces" in printed
+    assert (
+        "; add --tare 30 if nothing touched them, --tare 0 if these are forces"
+        in printed
+    )
     assert reasons_in("a.mcap") == {"rest"}
 
     options = [part for word in ANSWERS[kind] for part in ("--" + word).split("=")]
-    assert main(["recording", "import", f"{kind}.npy", "--out", "b.mcap", *options]) == 0
+    assert (
+        main(["recording", "import", f"{kind}.npy", "--out", "b.mcap", *options]) == 0
+    )
     assert reasons_in("b.mcap") == {""}
     forces = sparseskin.read_recording("b.mcap")["forces"]
     assert len(forces) == N_UNTOUCHED + N_PRESSED - 30
@@ -244,7 +269,9 @@ def reasons_in(path):
     return {reason for message in messages for reason in message.reason}
 
 
-def test_a_calibration_without_a_press_names_a_sign_that_its_recording_shows(folder, capsys):
+def test_a_calibration_without_a_press_names_a_sign_that_its_recording_shows(
+    folder, capsys
+):
     words = ["calibrate", "file:falls.npy", "--untouched", "0.3s", "--no-questions"]
     words += ["--f-max", "1000"]
     assert main([*words, "--out", "a.toml"]) == 0
@@ -267,7 +294,11 @@ def streamed(frames, f_max=1000.0, **arguments):
         for frame in frames.astype(np.float32):
             forces.append(stream.reconstruct(stream.compress(frame)))
             reasons.append(stream.reason)
-    return forces, reasons, [str(one.message) for one in caught if "stream" in str(one.message)]
+    return (
+        forces,
+        reasons,
+        [str(one.message) for one in caught if "stream" in str(one.message)],
+    )
 
 
 @pytest.mark.parametrize(("kind", "sign"), [("rises", 1), ("falls", -1)])
@@ -275,7 +306,9 @@ def test_a_stream_trusts_a_level_at_rest_once_it_is_answered(kind, sign):
     _, reasons, lines = streamed(readings(sign))
     assert set(reasons) == {"rest"}
     assert len(lines) == 1
-    assert "; add tare=30 if nothing touched them, tare=0 if these are forces" in lines[0]
+    assert (
+        "; add tare=30 if nothing touched them, tare=0 if these are forces" in lines[0]
+    )
 
     forces, reasons, lines = streamed(readings(sign), tare=30, invert=sign < 0)
     assert reasons[:30] == ["rest"] * 30
@@ -309,7 +342,9 @@ def test_arrays_trust_a_level_at_rest_once_it_is_answered(sign):
     phi = sparseskin.make_phi("sbhe", n=48, m=24, seed=0)
     solver = sparseskin.make_solver("skin", phi, sparseskin.make_basis("haar", *SHAPE))
     frames = readings(sign).astype(np.float32)
-    with pytest.warns(RuntimeWarning, match=r"^compress: 48 of 48 taxels read .* tare=30 if"):
+    with pytest.warns(
+        RuntimeWarning, match=r"^compress: 48 of 48 taxels read .* tare=30 if"
+    ):
         y = sparseskin.compress(frames, phi)
     sparseskin.reconstruct(y, solver)
     assert solver.reason == "rest"
@@ -325,7 +360,9 @@ def test_arrays_trust_a_level_at_rest_once_it_is_answered(sign):
 
 @pytest.mark.parametrize("tare", [-1, 10_001, 1.5, True])
 def test_a_tare_that_is_no_number_of_frames_is_refused(tare):
-    with pytest.raises(SparseskinError, match=r"^stream: tare = .*allowed: a whole number"):
+    with pytest.raises(
+        SparseskinError, match=r"^stream: tare = .*allowed: a whole number"
+    ):
         sparseskin.Stream(SHAPE, tare=tare)
     with pytest.raises(SettingsError, match=r"^invert = 'yes' is not allowed"):
         Zero(SKIN, invert="yes")

@@ -12,7 +12,11 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from sparseskin.nodes.files import OutputError
-from sparseskin.nodes.sensor.calibration.description import Response, SkinDescription, SkinFileError
+from sparseskin.nodes.sensor.calibration.description import (
+    Response,
+    SkinDescription,
+    SkinFileError,
+)
 from sparseskin.nodes.sensor.skin_file import (
     MAX_FILE_CHARS,
     MAX_INLINE,
@@ -43,7 +47,9 @@ def assert_same(a, b):
             assert one == other, field.name
 
 
-def test_a_file_of_the_required_keys_alone_describes_a_skin_without_calibration(tmp_path):
+def test_a_file_of_the_required_keys_alone_describes_a_skin_without_calibration(
+    tmp_path,
+):
     skin = load_skin(write(tmp_path, HEAD))
     assert skin.name == "palm"
     assert skin.shape == (2, 3)
@@ -79,7 +85,9 @@ def skins(draw):
     k = draw(st.integers(1, 4))
     steps = draw(arrays(np.float64, k, elements=sizes))
     own = draw(st.booleans())
-    reading = draw(arrays(np.float64, (k, *shape) if own else k, elements=sizes)).cumsum(axis=0)
+    reading = draw(
+        arrays(np.float64, (k, *shape) if own else k, elements=sizes)
+    ).cumsum(axis=0)
     grids = {
         "baseline": arrays(np.float64, shape, elements=finite),
         "gains": arrays(np.float64, shape, elements=sizes | sizes.map(lambda x: -x)),
@@ -87,7 +95,11 @@ def skins(draw):
     }
     chosen = {key: draw(st.none() | kind) for key, kind in grids.items()}
     return SkinDescription(
-        name=draw(st.text(min_size=1, max_size=9).filter(lambda s: s.isprintable() and s.strip())),
+        name=draw(
+            st.text(min_size=1, max_size=9).filter(
+                lambda s: s.isprintable() and s.strip()
+            )
+        ),
         n_rows=shape[0],
         n_cols=shape[1],
         f_max=draw(st.floats(1.0, 1e3)),
@@ -117,7 +129,9 @@ def test_large_arrays_are_written_beside_the_file_and_read_again(tmp_path):
         mask=rng.random(shape) > 0.1,
         baseline=rng.random(shape),
         gains=np.full(shape, 0.25),
-        response=Response(rng.random((3, *shape)).cumsum(axis=0) + 0.1, np.array([0.5, 1.0, 2.5])),
+        response=Response(
+            rng.random((3, *shape)).cumsum(axis=0) + 0.1, np.array([0.5, 1.0, 2.5])
+        ),
     )
     path = tmp_path / "sole.toml"
     assert [one.name for one in save_skin(path, skin)] == ["sole.toml", "sole.npz"]
@@ -138,19 +152,43 @@ def test_no_file_is_written_over(tmp_path):
     [
         ("n_rows = 2\nn_cols = 3\n", "f_max: is missing"),
         (HEAD + "gain = 1", "gain: unknown key (did you mean 'gains'?)"),
-        (HEAD + "[response]\nreadings = [1]", "response.readings: unknown key (did you mean 'rea"),
-        (HEAD + "[response]\nreading = [2, 1]\nforce = [1, 2]", "response.reading: must be above"),
-        (HEAD + "[response]\nreading = [1e-300]\nforce = [1e30]", "response: a slope is outside"),
-        (HEAD + f"[response]\nforce = {list(range(1, 34))}\nreading = [1]", "33 knots; allowed"),
+        (
+            HEAD + "[response]\nreadings = [1]",
+            "response.readings: unknown key (did you mean 'rea",
+        ),
+        (
+            HEAD + "[response]\nreading = [2, 1]\nforce = [1, 2]",
+            "response.reading: must be above",
+        ),
+        (
+            HEAD + "[response]\nreading = [1e-300]\nforce = [1e30]",
+            "response: a slope is outside",
+        ),
+        (
+            HEAD + f"[response]\nforce = {list(range(1, 34))}\nreading = [1]",
+            "33 knots; allowed",
+        ),
         (HEAD + "response = 3", "response: expected a table"),
-        ("n_rows = true\nn_cols = 3\nf_max = 1", "n_rows: expected a whole number, got bool"),
+        (
+            "n_rows = true\nn_cols = 3\nf_max = 1",
+            "n_rows: expected a whole number, got bool",
+        ),
         ("n_rows = 4096\nn_cols = 4096\nf_max = 1", "4096 x 4096 cells; at most"),
         (HEAD + "noise_mid = 1", "noise_mid: is stated without noise"),
         (HEAD + "unit = ''", "unit: expected 1..32 printable"),
-        (HEAD + "mask = ['111', '112']", "mask: expected 2 texts of 3 characters 0 and 1"),
-        (HEAD + "baseline = [[1, 2, 3], [1, 2, nan]]", "baseline: expected numbers of at most"),
+        (
+            HEAD + "mask = ['111', '112']",
+            "mask: expected 2 texts of 3 characters 0 and 1",
+        ),
+        (
+            HEAD + "baseline = [[1, 2, 3], [1, 2, nan]]",
+            "baseline: expected numbers of at most",
+        ),
         (HEAD + "gains = 0", "gains: expected numbers of 1e-12..1e+12"),
-        (HEAD + "gains = [1, 2]", "gains: float64 of shape (2,); expected float64 of shape (2, 3)"),
+        (
+            HEAD + "gains = [1, 2]",
+            "gains: float64 of shape (2,); expected float64 of shape (2, 3)",
+        ),
         (HEAD + "arrays = 'b.npz'", "arrays: b.npz: "),
         (HEAD + "a = " + "[" * 900, "more than 8 tables or lists"),
         ("n_rows = ", "not TOML"),
@@ -187,7 +225,9 @@ def test_hostile_arrays_are_refused_in_one_line(tmp_path, held, line):
     )
 
 
-def test_arrays_stay_beside_the_file_and_pipes_and_folders_are_refused_at_once(tmp_path):
+def test_arrays_stay_beside_the_file_and_pipes_and_folders_are_refused_at_once(
+    tmp_path,
+):
     away = tmp_path / "away"
     away.mkdir()
     save_arrays(away / "b.npz", baseline=np.zeros((2, 3)))
@@ -224,17 +264,23 @@ def test_a_response_curve_inverts_and_rises(knots, readings):
     found = Response(curve.force, curve.reading).forces(curve.forces(readings))
     # Slopes of 1e-6..1e6 and their inverses amplify rounding by their ratio.
     scale = np.abs(curve.slopes).max() / np.abs(curve.slopes).min()
-    np.testing.assert_allclose(found, readings, atol=1e-11 * scale * (1 + np.abs(readings).max()))
+    np.testing.assert_allclose(
+        found, readings, atol=1e-11 * scale * (1 + np.abs(readings).max())
+    )
     order = np.argsort(readings.ravel())
     assert (np.diff(curve.forces(readings).ravel()[order]) >= 0).all()
 
 
 def test_the_file_of_the_documentation_is_read(tmp_path):
-    page = (Path(__file__).parents[3] / "docs/howto/calibration.md").read_text(encoding="utf-8")
+    page = (Path(__file__).parents[3] / "docs/howto/calibration.md").read_text(
+        encoding="utf-8"
+    )
     text = page.partition("```text\n")[2].partition("```")[0]
     row = f'    "{"1" * 32}",\n'
     text = text.replace("    # ... 16 of them\n", 15 * row)
-    text = "".join(line for line in text.splitlines(True) if not line.startswith("arrays"))
+    text = "".join(
+        line for line in text.splitlines(True) if not line.startswith("arrays")
+    )
     skin = load_skin(write(tmp_path, text))
     assert skin.shape == (16, 32)
     assert skin.response is not None

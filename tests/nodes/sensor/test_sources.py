@@ -104,12 +104,16 @@ def test_a_sensor_reads_a_kind_of_source_that_another_package_brings():
 
 def test_a_part_of_a_recording_is_read_at_its_part_of_the_rate(tmp_path):
     path = tmp_path / "a.npz"
-    forces = np.arange(10, dtype=np.float32)[:, None, None] * np.ones((2, 3), np.float32)
+    forces = np.arange(10, dtype=np.float32)[:, None, None] * np.ones(
+        (2, 3), np.float32
+    )
     np.savez(path, forces=forces, rate_hz=200.0)
     stated = {"source": f"file:{path}", "unit": "N", "every": 4}
     sensor = Sensor(SensorSettings(**stated, first=1), Context("sensor", ManualClock()))
     ticks = [sensor.acquire(Tick(k, k)) for k in range(3)]
-    taxels = [m.forces[0, 0, 0] for tick in ticks for m in tick if isinstance(m, Taxels)]
+    taxels = [
+        m.forces[0, 0, 0] for tick in ticks for m in tick if isinstance(m, Taxels)
+    ]
     assert taxels == [1, 5, 9]
     assert sensor.exhausted
     assert sensor.rate_hz == 50
@@ -124,7 +128,9 @@ def test_what_such_a_kind_refuses_is_refused_before_a_graph_starts():
         SensorSettings(source="glove:right").check()
     with pytest.raises(SettingsError, match="n_rows: a glove has its own"):
         SensorSettings(source="glove:left", n_rows=2).check()
-    with pytest.raises(SourceError, match=r"broken:x: plug-in no_such_package:Address: ModuleNot"):
+    with pytest.raises(
+        SourceError, match=r"broken:x: plug-in no_such_package:Address: ModuleNot"
+    ):
         sources.find_address("broken:x").check()
 
 
@@ -154,7 +160,9 @@ def test_a_recording_that_loops_begins_again_and_its_stamps_go_on(tmp_path):
     ]
 
 
-def test_no_address_is_refused_and_any_other_is_of_a_driver(tmp_path, monkeypatch, offering):
+def test_no_address_is_refused_and_any_other_is_of_a_driver(
+    tmp_path, monkeypatch, offering
+):
     address = sources.find_address("my_skin:frames", layout=Layout(n_rows=2, n_cols=3))
     assert isinstance(address, sources.DriverAddress)
     assert address.n_taxels() == 6
@@ -167,12 +175,16 @@ def test_no_address_is_refused_and_any_other_is_of_a_driver(tmp_path, monkeypatc
     assert shown.startswith('source "path_40": expected scene:NAME, file:PATH')
     assert shown.endswith('or module:callable (did you mean "scene:path_40"?)')
     offering(extensions.ADDRESSES)
-    with pytest.raises(SourceError, match="no plug-in for sources serial: is installed; expected"):
+    with pytest.raises(
+        SourceError, match="no plug-in for sources serial: is installed; expected"
+    ):
         sources.find_address("serial:/dev/ttyUSB0?baud=9600")
 
 
 def sensor(clock):
-    made = Sensor(Sensor.Settings(source="scene:path_40", rate_hz=100.0), Context("s", clock))
+    made = Sensor(
+        Sensor.Settings(source="scene:path_40", rate_hz=100.0), Context("s", clock)
+    )
     made.begin(clock.now_ns())
     return made
 
@@ -185,7 +197,9 @@ def test_a_driver_has_its_own_pace_and_no_rate_is_reported(tmp_path, monkeypatch
     settings = Sensor.Settings(source="paced_skin:frames")
     made = Sensor(settings, Context("s", ManualClock()))
     assert "rate_hz" not in made.state()
-    assert Sensor(replace(settings, rate_hz=20.0), made.context).state()["rate_hz"] == 20.0
+    assert (
+        Sensor(replace(settings, rate_hz=20.0), made.context).state()["rate_hz"] == 20.0
+    )
 
 
 def test_a_new_rate_counts_from_the_moment_of_the_change():

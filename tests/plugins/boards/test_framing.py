@@ -44,7 +44,9 @@ cuts = st.lists(st.integers(0, 400), max_size=12)
 payloads = st.lists(st.binary(min_size=12, max_size=12), min_size=1, max_size=12)
 #: Readings that never hold the first start byte.
 plain_payloads = st.lists(
-    st.lists(st.integers(0, 0xA9), min_size=12, max_size=12).map(bytes), min_size=1, max_size=12
+    st.lists(st.integers(0, 0xA9), min_size=12, max_size=12).map(bytes),
+    min_size=1,
+    max_size=12,
 )
 
 
@@ -97,12 +99,16 @@ class TestWithoutErrors:
 
     @few
     @given(payloads=payloads, cuts=cuts)
-    def test_all_frames_with_a_crc_are_found_however_the_stream_is_cut(self, payloads, cuts):
+    def test_all_frames_with_a_crc_are_found_however_the_stream_is_cut(
+        self, payloads, cuts
+    ):
         stream = b"".join(WITH_CRC.encode(p, k) for k, p in enumerate(payloads))
         frames, parser = parsed(WITH_CRC, cut(stream, cuts))
         assert [frame.payload for frame in frames] == payloads
         assert [frame.sequence for frame in frames] == list(range(len(payloads)))
-        assert [f.end for f in frames] == [(k + 1) * WITH_CRC.n_bytes for k in range(len(payloads))]
+        assert [f.end for f in frames] == [
+            (k + 1) * WITH_CRC.n_bytes for k in range(len(payloads))
+        ]
         assert parser.counts == Counts(frames=len(payloads))
 
     @few
@@ -148,7 +154,9 @@ def damaged(pieces, data, safe):
         kind = data.draw(st.sampled_from(["none", "lost", "extra", "wrong"]))
         at = data.draw(st.integers(0, n - 1))
         run = data.draw(st.integers(1, n - 1))
-        noise = st.lists(st.integers(0, 0xA9 if safe else 0xFF), min_size=run, max_size=run)
+        noise = st.lists(
+            st.integers(0, 0xA9 if safe else 0xFF), min_size=run, max_size=run
+        )
         if kind == "lost":
             piece = piece[:at] + piece[at + run :]
         elif kind == "extra":
@@ -172,7 +180,9 @@ class TestWithErrors:
         sent = [framing.encode(p, k) for k, p in enumerate(held)]
         stream = b"".join(damaged(sent, data, safe=not framing.is_strong))
         frames, parser = parsed(framing, cut(stream, cuts))
-        assert is_subsequence([framing.encode(f.payload, f.sequence or 0) for f in frames], sent)
+        assert is_subsequence(
+            [framing.encode(f.payload, f.sequence or 0) for f in frames], sent
+        )
         used = parser.counts.frames * framing.n_bytes
         assert len(stream) == used + parser.counts.dropped_bytes + parser.n_waiting
 
@@ -192,7 +202,9 @@ class TestWithErrors:
     def test_a_damaged_frame_costs_itself_alone(self, checksum):
         framing = Framing(12, start=MARK, checksum=checksum)
         sent = [framing.encode(bytes([k] * 12)) for k in range(9)]
-        wrong = sent[4][:5] + b"\x05" + sent[4][6:] if checksum == "sum8" else sent[4][:-1]
+        wrong = (
+            sent[4][:5] + b"\x05" + sent[4][6:] if checksum == "sum8" else sent[4][:-1]
+        )
         frames, parser = parsed(framing, [b"".join([*sent[:4], wrong, *sent[5:]])])
         assert [frame.payload[0] for frame in frames] == [0, 1, 2, 3, 5, 6, 7]
         assert parser.counts.bad_frames == 1
@@ -202,7 +214,9 @@ class TestWithErrors:
         framing = Framing(1000, start=b"\x00", checksum="crc32")
         checked = []
         whole = Framing.is_whole
-        monkeypatch.setattr(Framing, "is_whole", lambda me, r: checked.append(1) or whole(me, r))
+        monkeypatch.setattr(
+            Framing, "is_whole", lambda me, r: checked.append(1) or whole(me, r)
+        )
         parser = FrameParser(framing)
         for _ in range(100):
             parser.feed(bytes(1000))
@@ -235,7 +249,9 @@ class TestSequence:
             ((1000, 1001, 0, 1), (True,) * 4, 0),  # a board that starts again
         ],
     )
-    def test_a_frame_that_comes_twice_or_late_is_not_used(self, numbers, admitted, n_late):
+    def test_a_frame_that_comes_twice_or_late_is_not_used(
+        self, numbers, admitted, n_late
+    ):
         counts = Counts()
         sequence = Sequence(2, counts)
         assert tuple(sequence.admit(k) for k in numbers) == admitted
@@ -251,4 +267,6 @@ class TestPackets:
         assert [frame.payload for frame in parser.feed(packet)] == payloads
         assert parser.feed(packet[:-1]) == []
         dropped = len(packet) - 1
-        assert parser.counts == Counts(len(payloads), bad_frames=1, dropped_bytes=dropped)
+        assert parser.counts == Counts(
+            len(payloads), bad_frames=1, dropped_bytes=dropped
+        )

@@ -23,12 +23,16 @@ def cut(frames, size, numbered):
     stream = b"".join(frames)
     starts = range(0, len(stream) - size + 1, size)
     return [
-        Frame(stream[at : at + size], k % MODULUS if numbered else None, 0, first=at % N)
+        Frame(
+            stream[at : at + size], k % MODULUS if numbered else None, 0, first=at % N
+        )
         for k, at in enumerate(starts)
     ]
 
 
-@given(n=st.integers(1, 40), size=st.integers(1, N), numbered=st.booleans(), data=st.data())
+@given(
+    n=st.integers(1, 40), size=st.integers(1, N), numbered=st.booleans(), data=st.data()
+)
 def test_frames_are_whole_or_counted_whatever_pieces_are_lost(n, size, numbered, data):
     frames = [bytes([k]) * N for k in range(n)]
     sent = cut(frames, size, numbered)
@@ -38,7 +42,9 @@ def test_frames_are_whole_or_counted_whatever_pieces_are_lost(n, size, numbered,
     came = [piece for k, piece in enumerate(sent) if k not in lost]
     counts = Counts(frames=len(came))
     pieces = Pieces(N, 1, MODULUS if numbered else 0, counts)
-    found = [frame.payload for piece in came if (frame := pieces.add(piece)) is not None]
+    found = [
+        frame.payload for piece in came if (frame := pieces.add(piece)) is not None
+    ]
     whole = [
         frame
         for k, frame in enumerate(frames)
@@ -67,7 +73,10 @@ def test_packets_of_a_wiresens_board_become_frames_whose_readings_rise_with_the_
     values = readings.ravel()
     stream = b"Initializing Toolkit\r\n"
     for k in range(len(values) // 120):
-        packet = struct.pack("<bH", 1, 120 * k % 1024) + values[120 * k : 120 * (k + 1)].tobytes()
+        packet = (
+            struct.pack("<bH", 1, 120 * k % 1024)
+            + values[120 * k : 120 * (k + 1)].tobytes()
+        )
         stream += packet + struct.pack("<I", k) + b"wr"
     frames, counts = read(found, stream)
     # The first packet has no end before it.
@@ -103,19 +112,32 @@ def test_frames_of_a_taxelscan_board_have_any_number_of_contacts():
     other = taxelscan(bytes(512), 9, 26, rows=8)
     wrong = sent[2][:700] + b"\x00" + sent[2][701:]
     long = sent[3][:8] + b"\xff\xff" + sent[3][10:]
-    stream = b"# TaxelScan ready\r\n" + sent[0] + sent[1] + wrong + other + long + sent[4] + sent[5]
+    stream = (
+        b"# TaxelScan ready\r\n"
+        + sent[0]
+        + sent[1]
+        + wrong
+        + other
+        + long
+        + sent[4]
+        + sent[5]
+    )
     frames, counts = read(found, stream)
     assert [frame.sequence for frame in frames] == [0, 1, 4, 5]
     assert counts.missing_frames == 2
     for frame in frames:
-        np.testing.assert_array_equal(found.decode(frame.payload), readings[frame.sequence or 0])
+        np.testing.assert_array_equal(
+            found.decode(frame.payload), readings[frame.sequence or 0]
+        )
 
 
 BY_ID = Chunks((0x10, 0x11, 0x12), 3, 20, 8, 0, 0)
 COUNTED = Chunks((0x10, 0x11, 0x12, 0x13), 4, 20, 6, 0, 1)
 INDEXED = Chunks((0x10,), 4, 20, 6, 1, 1)
 
-frames = st.lists(st.binary(min_size=20, max_size=20), min_size=1, max_size=8, unique=True)
+frames = st.lists(
+    st.binary(min_size=20, max_size=20), min_size=1, max_size=8, unique=True
+)
 
 
 def spread(chunks, frame, counter):
@@ -143,12 +165,16 @@ def test_all_frames_are_found(frames, chunks):
 
 
 @given(frames=frames, chunks=st.sampled_from([COUNTED, INDEXED]), data=st.data())
-def test_with_a_counter_chunks_may_be_lost_repeated_or_swapped_within_a_frame(frames, chunks, data):
+def test_with_a_counter_chunks_may_be_lost_repeated_or_swapped_within_a_frame(
+    frames, chunks, data
+):
     sent = []
     whole = []
     for k, frame in enumerate(frames):
         parts = spread(chunks, frame, k)
-        kept = data.draw(st.lists(st.sampled_from(parts), unique=True, max_size=len(parts)))
+        kept = data.draw(
+            st.lists(st.sampled_from(parts), unique=True, max_size=len(parts))
+        )
         sent += kept
         whole += [frame] if len(kept) == len(parts) else []
     found, counts = assembled(chunks, sent)
@@ -170,7 +196,10 @@ def test_without_a_counter_a_lost_chunk_costs_its_frame_alone(frames, lost, at):
 
 
 def test_other_ids_and_wild_data_are_no_chunk_and_padding_is_left_out():
-    wild = [(0x7FF, bytes(8)), *((0x10, data) for data in (b"", b"\0", b"\xff" * 8, bytes(3)))]
+    wild = [
+        (0x7FF, bytes(8)),
+        *((0x10, data) for data in (b"", b"\0", b"\xff" * 8, bytes(3))),
+    ]
     assert assembled(INDEXED, wild) == ([], Counts(dropped_bytes=12))
     chunks = chunks_of(CanSettings(ids="0x10-0x11", fd=True), Framing(70))
     assert chunks.n_chunks == 2

@@ -84,8 +84,12 @@ class TestSerial:
         source = opened(f"serial:{line.device}?profile=flexitac_16x32")
         line.sending(flexitac(k % 170) for k in range(301))
         frames = taken(source, 300)
-        assert [int(forces[0, 0]) for _, forces in frames] == [k % 170 for k in range(300)]
-        assert all(np.ptp(forces) == 0 and forces.shape == (16, 32) for _, forces in frames)
+        assert [int(forces[0, 0]) for _, forces in frames] == [
+            k % 170 for k in range(300)
+        ]
+        assert all(
+            np.ptp(forces) == 0 and forces.shape == (16, 32) for _, forces in frames
+        )
         stamps = [stamp for stamp, _ in frames]
         assert all(b > a for a, b in pairwise(stamps))
         figures = source.figures()
@@ -93,7 +97,9 @@ class TestSerial:
         assert not any(figures.values())
 
     def test_what_is_dropped_is_counted_byte_by_byte(self, line, opened):
-        source = opened(f"serial:{line.device}?n_rows=16&n_cols=32&start=AA55&checksum=crc16")
+        source = opened(
+            f"serial:{line.device}?n_rows=16&n_cols=32&start=AA55&checksum=crc16"
+        )
         framing = Framing(512, start=b"\xaa\x55", checksum="crc16")
         good = framing.encode(bytes(512))
         noise = b"\x01" * 777
@@ -104,9 +110,14 @@ class TestSerial:
         assert counts.frames == 3
         assert counts.bad_frames == 2
         assert counts.dropped_bytes == 777 + len(wrong) + 50
-        assert dropped_text(source.figures()) == f"2 bad frames, {777 + len(wrong) + 50} bytes"
+        assert (
+            dropped_text(source.figures())
+            == f"2 bad frames, {777 + len(wrong) + 50} bytes"
+        )
 
-    def test_a_silent_board_and_a_wrong_profile_are_told_apart(self, line, opened, monkeypatch):
+    def test_a_silent_board_and_a_wrong_profile_are_told_apart(
+        self, line, opened, monkeypatch
+    ):
         monkeypatch.setattr(source_module, "SILENT_S", 0.05)
         name = f"serial:{line.device}?profile=flexitac_12x32"
         source = opened(name)
@@ -131,13 +142,17 @@ class TestUdp:
     def test_packets_of_one_or_more_frames_are_read_and_others_counted(self, opened):
         port = free_port(socket.SOCK_DGRAM)
         source = opened(f"udp:{port}?{self.QUERY}")
-        other = opened(f"udp:{free_port(socket.SOCK_DGRAM)}?n_rows=2&n_cols=3&sender=127.0.0.2")
+        other = opened(
+            f"udp:{free_port(socket.SOCK_DGRAM)}?n_rows=2&n_cols=3&sender=127.0.0.2"
+        )
         send_packets(int(other.name.partition(":")[2]), bytes(6))
         one = self.frame(1, 1)
         two = self.frame(2, 2)
         five = self.frame(9, 5)
         wrong = bytes([one[0] ^ 1]) + one[1:]
-        send_packets(port, one + two, b"", one[:-1], wrong, one, self.frame(np.nan, 3), five)
+        send_packets(
+            port, one + two, b"", one[:-1], wrong, one, self.frame(np.nan, 3), five
+        )
         frames = taken(source, 3)
         # 9 N is clipped to the range; number 4 never came, number 1 came twice.
         assert [float(forces[0, 0]) for _, forces in frames] == [1, 2, 4]
@@ -161,12 +176,18 @@ class TestUdp:
             board.connect(("127.0.0.1", port))
             board.send(framing.encode(bytes([1] * 6), 7))
             taken(source, 1)
-            send_packets(port, *(framing.encode(bytes([9] * 6), k << 20) for k in range(300)))
+            send_packets(
+                port, *(framing.encode(bytes([9] * 6), k << 20) for k in range(300))
+            )
             board.send(framing.encode(bytes([2] * 6), 8))
-            board.send(framing.encode(bytes([3] * 6), 2**31))  # no board has lost so many
+            board.send(
+                framing.encode(bytes([3] * 6), 2**31)
+            )  # no board has lost so many
             assert [forces.max() for _, forces in taken(source, 2)] == [2, 3]
             (line,) = source.take_lines()
-            assert line.endswith(f" are dropped; 127.0.0.1:{board.getsockname()[1]} is the sender")
+            assert line.endswith(
+                f" are dropped; 127.0.0.1:{board.getsockname()[1]} is the sender"
+            )
         figures = source.figures()
         assert figures["other_senders"] == 300
         assert figures["missing_frames"] == 0
@@ -208,7 +229,9 @@ class TestUdp:
             board.send(bytes(10_000))  # with it comes the number
             n += len(taken(source, 1))
         assert n + source.figures()["kernel_packets"] == n_sent + 1
-        with pytest.raises(SourceError, match=f"port {port} of 127.0.0.1 cannot be opened: Addr"):
+        with pytest.raises(
+            SourceError, match=f"port {port} of 127.0.0.1 cannot be opened: Addr"
+        ):
             opened(f"udp:{port}?n_rows=2&n_cols=3")
 
 
@@ -224,7 +247,11 @@ class TestCan:
                 for k, one in enumerate((0x18DA0001, 0x18DA0002)):
                     data = raw[64 * k : 64 * (k + 1)]
                     bus.send(can.Message(arbitration_id=one, data=data, is_fd=True))
-                bus.send(can.Message(arbitration_id=0x7F0, data=b"other", is_extended_id=False))
+                bus.send(
+                    can.Message(
+                        arbitration_id=0x7F0, data=b"other", is_extended_id=False
+                    )
+                )
             frames = taken(source, 20)
         for number, (_, forces) in enumerate(frames):
             np.testing.assert_array_equal(forces.ravel(), np.arange(64) * 256 + number)
@@ -265,7 +292,9 @@ def test_frames_of_a_board_with_a_clock_have_its_time(line, monkeypatch, clock):
     monkeypatch.setattr(source_module, "time", here)
     logged = []
     source = f"serial:{line.device}?{query}"
-    sensor = Sensor(Sensor.Settings(source=source, clock=clock), Context("s", now, logged.append))
+    sensor = Sensor(
+        Sensor.Settings(source=source, clock=clock), Context("s", now, logged.append)
+    )
     list(sensor.start())
     sensor.begin(now.now_ns())
     rng = random.Random(0)
@@ -275,7 +304,9 @@ def test_frames_of_a_board_with_a_clock_have_its_time(line, monkeypatch, clock):
     for k in range(1700):
         true_ns = begin_ns + k * 10**7
         now.advance(max(0, true_ns + rng.randint(0, 5 * 10**6) - now.now_ns()))
-        up_ns = (true_ns - begin_ns) * 1.0001 + (2**32 - 5 * 10**6 if k < 1000 else -(10**10)) * 1e3
+        up_ns = (true_ns - begin_ns) * 1.0001 + (
+            2**32 - 5 * 10**6 if k < 1000 else -(10**10)
+        ) * 1e3
         line.send(frame_with_stamp(k, int(up_ns / 1000) % 2**32))
         stamps.append(next_stamp(sensor, now.now_ns()))
         late_ms.append((stamps[-1] - true_ns) / 1e6)
@@ -292,8 +323,15 @@ def test_frames_of_a_board_with_a_clock_have_its_time(line, monkeypatch, clock):
     assert logged == [
         f"serial:{line.device}: its clock was set or started again; it is mapped anew"
     ]
-    assert state["clock_drift_ppm"] == pytest.approx(100, abs=3 * state["clock_drift_sd_ppm"])
-    assert sensor.report()["clock_jitter_after_ms"] < 0.1 < 1 < state["clock_jitter_before_ms"]
+    assert state["clock_drift_ppm"] == pytest.approx(
+        100, abs=3 * state["clock_drift_sd_ppm"]
+    )
+    assert (
+        sensor.report()["clock_jitter_after_ms"]
+        < 0.1
+        < 1
+        < state["clock_jitter_before_ms"]
+    )
 
 
 def frame_with_stamp(number, stamp):

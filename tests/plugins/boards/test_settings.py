@@ -41,11 +41,15 @@ def serial(query, **stated):
 
 
 class TestProfiles:
-    def test_every_profile_is_complete_with_rows_and_columns_which_go_before_its_own(self):
+    def test_every_profile_is_complete_with_rows_and_columns_which_go_before_its_own(
+        self,
+    ):
         for name in profile_names():
             board = serial(f"profile={name}&n_rows=40&n_cols=5")
             assert board.skin.shape == (40, 5)
-            assert board.framing.is_whole(board.framing.encode(bytes(board.framing.payload_bytes)))
+            assert board.framing.is_whole(
+                board.framing.encode(bytes(board.framing.payload_bytes))
+            )
 
     def test_a_file_of_ones_own_is_read(self, tmp_path):
         path = tmp_path / "own.toml"
@@ -58,7 +62,10 @@ class TestProfiles:
         assert board.skin.unit == "N"
         assert board.skin.f_max == 127.5
         assert board.skin.pitch_m == pytest.approx(0.004)
-        assert board.decode(bytes([0, 1, 2, 3, 4, 5])).tolist() == [[1.5, 2, 2.5], [0, 0.5, 1]]
+        assert board.decode(bytes([0, 1, 2, 3, 4, 5])).tolist() == [
+            [1.5, 2, 2.5],
+            [0, 0.5, 1],
+        ]
 
     @pytest.mark.parametrize(
         ("text", "fault"),
@@ -84,7 +91,10 @@ class TestProfiles:
 
 FAULTS = [
     ("serial:/dev/ttyUSB0?profile=flexitac_16x23", "did you mean 'flexitac_16x32'?"),
-    (f"serial:/dev/ttyUSB0?{PLAIN}&bauds=1", "bauds: unknown key (did you mean 'baud'?)"),
+    (
+        f"serial:/dev/ttyUSB0?{PLAIN}&bauds=1",
+        "bauds: unknown key (did you mean 'baud'?)",
+    ),
     (f"serial:/dev/ttyUSB0?{PLAIN}&baud=0", "baud: 0 is outside"),
     (f"serial:/dev/ttyUSB0?{PLAIN}&n_rows=3", "n_rows is stated twice"),
     (f"serial:/dev/ttyUSB0?{PLAIN}&baud", "'baud' is no KEY=VALUE"),
@@ -99,18 +109,33 @@ FAULTS = [
     ("udp:5005?n_rows=2&n_cols=3&bind=here", "bind: 'here' is no IPv4 address"),
     ("can:can9?n_rows=2&n_cols=4&ids=0x10", "there is no CAN interface can9"),
     ("can:can9?n_rows=4&n_cols=4&ids=0x10", "index=u8"),
-    ("can:can9?n_rows=4&n_cols=4&ids=0x10-0x12", "3 ids, but a frame of 16 bytes has 2 chunks"),
+    (
+        "can:can9?n_rows=4&n_cols=4&ids=0x10-0x12",
+        "3 ids, but a frame of 16 bytes has 2 chunks",
+    ),
     ("can:can9?n_rows=4&n_cols=4&ids=0x10,0x10", "an id occurs twice"),
     ("can:can9?n_rows=4&n_cols=4&ids=0x20000000", "the largest extended id"),
     ("serail:/dev/ttyUSB0", "did you mean 'serial'?"),
     (f"serial:/dev/ttyUSB0?{PLAIN}&stamp=u32", "stamp_at: is not stated"),
-    (f"serial:/dev/ttyUSB0?{PLAIN}&stamp=u32&stamp_at=2&skip=3", "stamp_at: 2; allowed are the 4"),
-    (f"serial:/dev/ttyUSB0?{PLAIN}&stamp=u16&stamp_at=9&after=2", "stamp_at: 9; allowed are the 2"),
-    (f"serial:/dev/ttyUSB0?{PLAIN}&stamp=sequence", "frames have no number; add sequence=u16"),
+    (
+        f"serial:/dev/ttyUSB0?{PLAIN}&stamp=u32&stamp_at=2&skip=3",
+        "stamp_at: 2; allowed are the 4",
+    ),
+    (
+        f"serial:/dev/ttyUSB0?{PLAIN}&stamp=u16&stamp_at=9&after=2",
+        "stamp_at: 9; allowed are the 2",
+    ),
+    (
+        f"serial:/dev/ttyUSB0?{PLAIN}&stamp=sequence",
+        "frames have no number; add sequence=u16",
+    ),
     (f"serial:/dev/ttyUSB0?{PLAIN}&piece=3", "goes with first=u16"),
     (f"serial:/dev/ttyUSB0?{PLAIN}&piece=7&first=u8&first_at=0", "at most 6"),
     (f"serial:/dev/ttyUSB0?{PLAIN}&length=u8&length_at=2&skip=1", "needs a CRC"),
-    ("serial:/dev/ttyUSB0?n_rows=2&n_cols=3&start=??AA", "the first byte has to be stated"),
+    (
+        "serial:/dev/ttyUSB0?n_rows=2&n_cols=3&start=??AA",
+        "the first byte has to be stated",
+    ),
     ("can:can9?n_rows=4&n_cols=4&ids=0x10&piece=3", "piece: unknown key"),
 ]
 
@@ -151,8 +176,13 @@ class TestReadings:
         cols=st.permutations(range(4)),
         seed=st.integers(0, 99),
     )
-    def test_each_count_comes_to_its_taxel(self, dtype, byte_order, order, rows, cols, seed):
-        orders = {"row_order": ",".join(map(str, rows)), "col_order": ",".join(map(str, cols))}
+    def test_each_count_comes_to_its_taxel(
+        self, dtype, byte_order, order, rows, cols, seed
+    ):
+        orders = {
+            "row_order": ",".join(map(str, rows)),
+            "col_order": ",".join(map(str, cols)),
+        }
         settings = BoardSettings(n_rows=3, n_cols=4, order=order, **orders)
         decoder = Decoder(dtype, byte_order, settings.places(), scale=0.25, zero=3)
         counts = np.random.default_rng(seed).integers(0, 100, (3, 4))
@@ -204,7 +234,12 @@ def test_scope_draws_in_a_terminal_and_leaves_it_as_it_was(tmp_path):
             stdin=terminal,
             stdout=terminal,
             stderr=terminal,
-            env={**os.environ, "TERM": "xterm-256color", "COLUMNS": "300", "LINES": "24"},
+            env={
+                **os.environ,
+                "TERM": "xterm-256color",
+                "COLUMNS": "300",
+                "LINES": "24",
+            },
         )
         os.close(terminal)
         line.sending(flexitac(k % 160) for k in range(10**9))
@@ -237,7 +272,11 @@ def test_scope_draws_in_a_terminal_and_leaves_it_as_it_was(tmp_path):
     text = shown.decode()
     assert "16 x 32 taxels, 0..255 raw" in text
     # The other screen and the hidden cursor are left again, and the summary stands on the first.
-    assert text.index("\x1b[?1049h") < text.rindex("\x1b[?25h\x1b[?1049l") < text.rindex("frames;")
+    assert (
+        text.index("\x1b[?1049h")
+        < text.rindex("\x1b[?25h\x1b[?1049l")
+        < text.rindex("frames;")
+    )
 
 
 TWO_HOSTS = """
@@ -251,7 +290,9 @@ reconstructor = { type = "reconstructor", host = "desk" }
 """
 
 
-def test_a_board_of_another_host_need_not_be_here_but_is_described_rightly(tmp_path, monkeypatch):
+def test_a_board_of_another_host_need_not_be_here_but_is_described_rightly(
+    tmp_path, monkeypatch
+):
     monkeypatch.chdir(tmp_path)
     for name in ("edge", "desk"):
         make_key_files(name, tmp_path / "keys")
@@ -282,12 +323,16 @@ PAGE = ROOT / "docs/howto/boards.md"
 
 def fenced(language):
     """The first fenced block of a language."""
-    found = re.search(rf"^```{language}\n(.*?)^```$", PAGE.read_text(), re.MULTILINE | re.DOTALL)
+    found = re.search(
+        rf"^```{language}\n(.*?)^```$", PAGE.read_text(), re.MULTILINE | re.DOTALL
+    )
     assert found
     return found[1]
 
 
-def test_the_profile_and_the_firmware_of_the_page_on_boards_send_what_they_state(tmp_path):
+def test_the_profile_and_the_firmware_of_the_page_on_boards_send_what_they_state(
+    tmp_path,
+):
     path = tmp_path / "my_board.toml"
     path.write_text(fenced("ini"), encoding="utf-8")
     board = describe_board(f"serial:/dev/ttyUSB0?profile={path}")

@@ -15,14 +15,25 @@ from exported import contacts
 from processes import announced
 
 from sparseskin.launch.attach.client import describe
-from sparseskin.launch.run.running import GraphError, RunningGraph, RunningNode, choose_graph
+from sparseskin.launch.run.running import (
+    GraphError,
+    RunningGraph,
+    RunningNode,
+    choose_graph,
+)
 from sparseskin.messages import Contacts, Reconstruction
 from sparseskin.nodes.clock import ManualClock
 from sparseskin.nodes.errors import SettingsError
 from sparseskin.nodes.network.sockets import Reader, Writer, make_context
 from sparseskin.nodes.node import Context
 from sparseskin.plugins.bridges.base import Bridge, BridgeSettings
-from sparseskin.plugins.bridges.contacts import STATE, shapes, state, state_names, wrench
+from sparseskin.plugins.bridges.contacts import (
+    STATE,
+    shapes,
+    state,
+    state_names,
+    wrench,
+)
 from sparseskin.plugins.bridges.latest import LatestFrames
 
 
@@ -65,7 +76,9 @@ class Listed(Bridge[BridgeSettings]):
 
     def send(self, message, skin):
         is_map = isinstance(message, Reconstruction)
-        self.seen.append((message.topic, message.forces.max() if is_map else message.id.size))
+        self.seen.append(
+            (message.topic, message.forces.max() if is_map else message.id.size)
+        )
 
 
 def test_a_bridge_sends_patches_of_a_batch_and_no_forces_of_before_a_lost_frame():
@@ -73,14 +86,26 @@ def test_a_bridge_sends_patches_of_a_batch_and_no_forces_of_before_a_lost_frame(
     skin = skin_state()
     two = {"names": ("left", "right"), "patch": "skin"}
     forces = np.stack([np.full(skin.skin.shape, force, np.float32) for force in (1, 2)])
-    head = {**two, "phi": "0" * 16, "iterations": (1, 1), "residual": (0.0, 0.0), "done_ns": 0}
+    head = {
+        **two,
+        "phi": "0" * 16,
+        "iterations": (1, 1),
+        "residual": (0.0, 0.0),
+        "done_ns": 0,
+    }
     sent = Reconstruction(**head, stamp_ns=0, solve_ns=(1, 1), forces=forces)
     idle = replace(sent, forces=forces[:1], unchanged=(False, True))
     touched = replace(made([1.0]), **two, trusted=(), patch_of=np.ones(1, np.int32))
     for message in (skin, sent, touched, replace(idle, seq=1), replace(idle, seq=3)):
         bridge.step(message)
     maps = [("/left/reconstruction", 1.0), ("/right/reconstruction", 2.0)]
-    assert bridge.seen == [*maps, ("/left/contacts", 0), ("/right/contacts", 1), *maps, maps[0]]
+    assert bridge.seen == [
+        *maps,
+        ("/left/contacts", 0),
+        ("/right/contacts", 1),
+        *maps,
+        maps[0],
+    ]
     assert bridge.n_dropped == 0
 
 
@@ -90,9 +115,13 @@ def test_shapes_point_at_contacts_on_points_along_the_force():
     points[:, 5] = 1
     skin = skin_state(points=points, pitch_m=0.01)
     normal = np.array([[0, 1, 0]], np.float32)
-    (one,) = shapes(made([5.0], place_mm=np.full((1, 3), 30, np.float32), normal=normal), skin)
+    (one,) = shapes(
+        made([5.0], place_mm=np.full((1, 3), 30, np.float32), normal=normal), skin
+    )
     assert one.centre == pytest.approx([0.03, 0.03, 0.03])
-    assert one.tail - one.centre == pytest.approx([0, 0.5 * 5 / 25, 0])  # as long as the skin: 25 N
+    assert one.tail - one.centre == pytest.approx(
+        [0, 0.5 * 5 / 25, 0]
+    )  # as long as the skin: 25 N
     assert one.diameter == pytest.approx(0.03)
 
 
@@ -103,7 +132,10 @@ def test_the_state_has_the_strongest_contacts_first_and_zeros_where_there_are_fe
     mm2 = np.array([7, 8, 9], np.float32)
     three = made([1, 4, 3], place_mm=places, velocity_mm_s=-places, area_mm2=mm2)
     found = dict(zip(names, state(three, 2).tolist(), strict=True))
-    at = {name: found[f"palm.contact_1.{name}"] for name in ("total", "x", "y_velocity", "area")}
+    at = {
+        name: found[f"palm.contact_1.{name}"]
+        for name in ("total", "x", "y_velocity", "area")
+    }
     assert at == {"total": 4, "x": 3, "y_velocity": -4, "area": 8}
     assert found["palm.contact_2.total"] == 3
     one = state(made([6.0], trusted=False), 2)
@@ -111,7 +143,9 @@ def test_the_state_has_the_strongest_contacts_first_and_zeros_where_there_are_fe
     assert not one[1 + len(STATE) :].any()
 
 
-def test_a_writer_waits_for_the_presence_of_an_observer_but_not_for_its_answers(tmp_path):
+def test_a_writer_waits_for_the_presence_of_an_observer_but_not_for_its_answers(
+    tmp_path,
+):
     context = make_context()
     try:
         endpoint = f"ipc://{tmp_path / 'w'}"
@@ -138,7 +172,9 @@ def test_a_writer_waits_for_the_presence_of_an_observer_but_not_for_its_answers(
 
 
 @pytest.mark.slow
-def test_a_stopped_bridge_holds_up_no_source_that_follows_its_readers(start, tmp_path, monkeypatch):
+def test_a_stopped_bridge_holds_up_no_source_that_follows_its_readers(
+    start, tmp_path, monkeypatch
+):
     pytest.importorskip("foxglove", reason="foxglove-sdk is not installed")
     (tmp_path / "observed.toml").write_text(
         """
@@ -174,7 +210,9 @@ fox = { type = "foxglove", port = 0 }
     # Of each topic: what was sent, or dropped by the bridge, or by the queue of its writer.
     for topic in ("/skin/taxels", "/skin/truth", "/skin/reconstruction"):
         assert fox["received"][topic] + fox["lost"][topic] == 1200
-    streams = sum(fox["received"][topic] for topic in fox["received"] if topic != "/skin/skin")
+    streams = sum(
+        fox["received"][topic] for topic in fox["received"] if topic != "/skin/skin"
+    )
     assert fox["bridge"]["sent"] + fox["bridge"]["dropped"] == streams
 
 
@@ -205,7 +243,9 @@ def publisher(tmp_path, monkeypatch):
     context = make_context()
     writer = Writer(context, f"ipc://@sparseskin-{uuid.uuid4().hex}", "host")
     nodes = {"host": RunningNode("reconstructor", writer.endpoint, TOPICS)}
-    with announced(RunningGraph("touched", 1, time.time_ns() - time.monotonic_ns(), "", nodes)):
+    with announced(
+        RunningGraph("touched", 1, time.time_ns() - time.monotonic_ns(), "", nodes)
+    ):
         yield writer
     context.destroy(linger=0)
 
@@ -242,14 +282,18 @@ def frame_of(reader, k):
 
 
 def test_a_frame_comes_with_its_contacts_and_each_once(publisher, reader):
-    send(publisher, 1, solved(1), contacts(2), contacts(1))  # contacts of another frame, too
+    send(
+        publisher, 1, solved(1), contacts(2), contacts(1)
+    )  # contacts of another frame, too
     found = frame_of(reader, 1)
     assert found.contacts.stamp_ns == found.frame.stamp_ns
     assert np.array_equal(found.frame.forces, solved(1).forces)
     assert reader.newest(after=found.number) is None
 
 
-def test_forces_that_a_frame_refers_to_are_those_of_the_frame_before_or_none(publisher, reader):
+def test_forces_that_a_frame_refers_to_are_those_of_the_frame_before_or_none(
+    publisher, reader
+):
     def idle(k):
         return replace(solved(k), forces=solved(k).forces[:0], unchanged=(True,))
 
@@ -269,10 +313,14 @@ def test_of_a_batch_one_patch_is_read_by_its_name(publisher, reader):
     one = solved(1)
     found = contacts(1)
     of_both = dict.fromkeys(("error", "trusted", "unchanged", "reason"), ())
-    of_both |= {name: 2 * getattr(one, name) for name in ("iterations", "residual", "solve_ns")}
+    of_both |= {
+        name: 2 * getattr(one, name) for name in ("iterations", "residual", "solve_ns")
+    }
     forces = np.concatenate([one.forces, 2 * one.forces])
     batch = {"names": ("a", "b")}
-    touched = replace(found, **batch, trusted=(), patch_of=np.ones(1, np.int32), events=None)
+    touched = replace(
+        found, **batch, trusted=(), patch_of=np.ones(1, np.int32), events=None
+    )
     both = replace(one, **batch, forces=forces, **of_both), touched
     other = LatestFrames(None, "skin/b", with_contacts=True)
 
@@ -287,7 +335,9 @@ def test_of_a_batch_one_patch_is_read_by_its_name(publisher, reader):
     assert latest.contacts.patch == "b"
     assert latest.contacts.id.tolist() == [1]
     other.close()
-    with pytest.raises(GraphError, match="/skin/reconstruction: patch: skin/a is one of 2"):
+    with pytest.raises(
+        GraphError, match="/skin/reconstruction: patch: skin/a is one of 2"
+    ):
         reader.newest(after=10**9, timeout_s=60)
 
 
@@ -295,6 +345,8 @@ def test_a_graph_without_contacts_is_one_line(publisher):
     nodes = {"host": RunningNode("reconstructor", publisher.endpoint, TOPICS[:2])}
     with (
         announced(RunningGraph("silent", 2, 0, "", nodes)),
-        pytest.raises(GraphError, match=r"no /skin/contacts; start it with reconstructor.co"),
+        pytest.raises(
+            GraphError, match=r"no /skin/contacts; start it with reconstructor.co"
+        ),
     ):
         LatestFrames("silent", "skin", with_contacts=True)

@@ -35,7 +35,9 @@ def images():
 def read_mcap(path, decoders):
     """Log time, schema, content of each message by topic, by the official reader and a decoder."""
     reader = pytest.importorskip("mcap.reader")
-    factory = pytest.importorskip(f"{decoders}.decoder", reason="not installed").DecoderFactory()
+    factory = pytest.importorskip(
+        f"{decoders}.decoder", reason="not installed"
+    ).DecoderFactory()
     found = {}
     for schema, channel, message in reader.make_reader(
         io.BytesIO(path.read_bytes())
@@ -43,8 +45,12 @@ def read_mcap(path, decoders):
         if channel.message_encoding == "json":
             content = json.loads(message.data)
         else:
-            content = factory.decoder_for(channel.message_encoding, schema)(message.data)
-        found.setdefault(channel.topic, []).append((message.log_time, schema.name, content))
+            content = factory.decoder_for(channel.message_encoding, schema)(
+                message.data
+            )
+        found.setdefault(channel.topic, []).append(
+            (message.log_time, schema.name, content)
+        )
     return found
 
 
@@ -68,15 +74,26 @@ def test_every_pixel_and_stamp_is_in_a_foxglove_export(foxglove):
         assert image.frame_id == "skin"
         assert stamp_of(image) == message.stamp_ns
         assert log_ns == message.stamp_ns + LAG_NS
-        assert (image.height, image.width, image.step) == (*array.shape, 4 * array.shape[1])
-        assert np.array_equal(np.frombuffer(image.data, "<f4").reshape(array.shape), array)
-    left = [topic for topic, held in foxglove.items() if held and held[0][1].endswith("RawImage")]
+        assert (image.height, image.width, image.step) == (
+            *array.shape,
+            4 * array.shape[1],
+        )
+        assert np.array_equal(
+            np.frombuffer(image.data, "<f4").reshape(array.shape), array
+        )
+    left = [
+        topic
+        for topic, held in foxglove.items()
+        if held and held[0][1].endswith("RawImage")
+    ]
     assert left == []
 
 
 def test_the_grids_of_a_foxglove_export_have_cells_pose_and_layers(foxglove):
     sent = [m for m in rich_frames() if isinstance(m, Reconstruction)]
-    for (_, schema, grid), message in zip(foxglove["/skin/reconstruction/grid"], sent, strict=True):
+    for (_, schema, grid), message in zip(
+        foxglove["/skin/reconstruction/grid"], sent, strict=True
+    ):
         assert schema == "foxglove.Grid"
         assert grid.frame_id == "skin"
         assert stamp_of(grid) == message.stamp_ns
@@ -84,11 +101,17 @@ def test_the_grids_of_a_foxglove_export_have_cells_pose_and_layers(foxglove):
         assert grid.cell_size.y == 0.005
         corner = (grid.pose.position.x, grid.pose.position.y)
         assert corner == pytest.approx((-0.0025 * N_COLS, -0.0025 * N_ROWS))
-        maps = {"force": message.forces[0]} | ({} if message.sd is None else {"sd": message.sd[0]})
+        maps = {"force": message.forces[0]} | (
+            {} if message.sd is None else {"sd": message.sd[0]}
+        )
         assert [field.name for field in grid.fields] == list(maps)
-        cells = np.frombuffer(grid.data, np.uint8).reshape(N_ROWS, N_COLS, grid.cell_stride)
+        cells = np.frombuffer(grid.data, np.uint8).reshape(
+            N_ROWS, N_COLS, grid.cell_stride
+        )
         for field, array in zip(grid.fields, maps.values(), strict=True):
-            values = cells[:, :, field.offset : field.offset + 4].copy().view("<f4")[:, :, 0]
+            values = (
+                cells[:, :, field.offset : field.offset + 4].copy().view("<f4")[:, :, 0]
+            )
             assert np.array_equal(values, array)
 
 
@@ -120,25 +143,36 @@ def test_a_foxglove_export_has_the_contacts_as_numbers_and_as_a_scene(foxglove):
         assert [one["total"] for one in held["contacts"]] == sent.total.tolist()
         assert all(("x_mm" in one) == (k % 3 == 1) for one in held["contacts"])
         assert held["events"] == [{"id": n, "event": "begin"} for n in sent.id]
-        assert [one.type for one in scene.deletions] == [1]  # all: the scene is replaced
+        assert [one.type for one in scene.deletions] == [
+            1
+        ]  # all: the scene is replaced
         assert [one.id for one in scene.entities] == [str(n) for n in sent.id]
         for n, entity in enumerate(scene.entities):
             (sphere,) = entity.spheres
             (arrow,) = entity.arrows
             (text,) = entity.texts
             if k % 3 == 1:  # its place is known, in mm; the frame is that of the middle
-                corner = 0.001 - 0.005 * (N_COLS - 1) / 2, 0.001 - 0.005 * (N_ROWS - 1) / 2
+                corner = (
+                    0.001 - 0.005 * (N_COLS - 1) / 2,
+                    0.001 - 0.005 * (N_ROWS - 1) / 2,
+                )
                 at = sphere.pose.position
                 assert (at.x, at.y, at.z) == pytest.approx((*corner, 0.001))
             length = arrow.shaft_length + arrow.head_length
-            assert arrow.pose.position.z - sphere.pose.position.z == pytest.approx(length)
+            assert arrow.pose.position.z - sphere.pose.position.z == pytest.approx(
+                length
+            )
             assert length == pytest.approx(sent.total[n] * 0.005 * N_COLS / (10 * 2.5))
             turn = arrow.pose.orientation  # of x into -z: a quarter about y
-            assert (turn.x, turn.y, turn.z, turn.w) == pytest.approx((0, 0.5**0.5, 0, 0.5**0.5))
+            assert (turn.x, turn.y, turn.z, turn.w) == pytest.approx(
+                (0, 0.5**0.5, 0, 0.5**0.5)
+            )
             assert text.text == f"{n + 1}: {0.5 + k:.3g} N"
 
 
-def test_a_point_cloud_of_foxglove_has_normals_and_the_rows_of_the_points_file(tmp_path):
+def test_a_point_cloud_of_foxglove_has_normals_and_the_rows_of_the_points_file(
+    tmp_path,
+):
     pytest.importorskip("foxglove", reason="the extra foxglove is not installed")
     path = tmp_path / "a.mcap"
     state = points_bag(path)
@@ -155,7 +189,9 @@ def test_a_point_cloud_of_foxglove_has_normals_and_the_rows_of_the_points_file(t
 
 
 def test_every_number_is_in_a_ros2_export_and_its_folder_is_a_bag(rich):
-    rosbags = pytest.importorskip("rosbags.rosbag2", reason="the extra ros2 is not installed")
+    rosbags = pytest.importorskip(
+        "rosbags.rosbag2", reason="the extra ros2 is not installed"
+    )
     with BagReader(rich) as bag:
         mcap, _ = export_ros2(bag, rich.with_name("a_ros2"))
     held = read_mcap(mcap, "mcap_ros2")
@@ -171,7 +207,10 @@ def test_every_number_is_in_a_ros2_export_and_its_folder_is_a_bag(rich):
         assert image.header.frame_id == "skin"
         assert stamp.sec * 10**9 + stamp.nanosec == message.stamp_ns
         assert log_ns == message.stamp_ns + LAG_NS
-        assert (image.height, image.width, image.step) == (*array.shape, 4 * array.shape[1])
+        assert (image.height, image.width, image.step) == (
+            *array.shape,
+            4 * array.shape[1],
+        )
         assert np.array_equal(np.frombuffer(bytes(image.data), "<f4"), array.ravel())
     for message in rich_frames():
         expected = {}
@@ -186,9 +225,14 @@ def test_every_number_is_in_a_ros2_export_and_its_folder_is_a_bag(rich):
         if isinstance(message, Contacts):
             check_contacts(message, {kind: held[f"{message.topic}/{kind}"].pop(0) for kind in
                                      ("wrench", "markers", "array")})  # fmt: skip
-    states = {name: json.loads(held[f"/skin/{name}"].pop(0)[2].data) for name in ("skin", "phi")}
+    states = {
+        name: json.loads(held[f"/skin/{name}"].pop(0)[2].data)
+        for name in ("skin", "phi")
+    }
     assert states["phi"]["seed"] == 7
-    assert np.array_equal([[cell == "1" for cell in row] for row in states["skin"]["mask"]], MASK)
+    assert np.array_equal(
+        [[cell == "1" for cell in row] for row in states["skin"]["mask"]], MASK
+    )
 
 
 def check_contacts(sent, held):
@@ -203,24 +247,37 @@ def check_contacts(sent, held):
     assert everything.action == 3
     assert everything.ns == ""
     assert [(m.ns, m.id, m.type, m.action) for m in others] == [
-        (*kind, 0) for n in sent.id for kind in (("sphere", n, 2), ("arrow", n, 0), ("text", n, 9))
+        (*kind, 0)
+        for n in sent.id
+        for kind in (("sphere", n, 2), ("arrow", n, 0), ("text", n, 9))
     ]
     for n, (_, arrow, text) in enumerate(zip(*[iter(others)] * 3, strict=True)):
         tail, tip = arrow.points
         assert tail.x == tip.x
         assert tail.y == tip.y
-        assert tail.z - tip.z == pytest.approx(sent.total[n] * 0.005 * N_COLS / (10 * 2.5))
+        assert tail.z - tip.z == pytest.approx(
+            sent.total[n] * 0.005 * N_COLS / (10 * 2.5)
+        )
         assert text.text.startswith(f"{sent.id[n]}: ")
     names = table.layout.dim[1].label.split(",")
     rows = np.array(table.data).reshape(table.layout.dim[0].size, len(names))
-    for name, values in (("id", sent.id), ("total", sent.total), ("row", sent.centre[:, 0])):
+    for name, values in (
+        ("id", sent.id),
+        ("total", sent.total),
+        ("row", sent.centre[:, 0]),
+    ):
         assert np.array_equal(rows[:, names.index(name)], values)
 
 
 def test_a_stamp_beyond_ros_is_refused(tmp_path):
     pytest.importorskip("rosbags", reason="the extra ros2 is not installed")
-    late = Taxels(stamp_ns=(1 << 31) * 10**9, patch="skin", forces=np.zeros((2, 2), np.float32))
+    late = Taxels(
+        stamp_ns=(1 << 31) * 10**9, patch="skin", forces=np.zeros((2, 2), np.float32)
+    )
     make_bag(tmp_path / "a.mcap", [late])
-    with BagReader(tmp_path / "a.mcap") as bag, pytest.raises(BagError, match="beyond what ROS 2"):
+    with (
+        BagReader(tmp_path / "a.mcap") as bag,
+        pytest.raises(BagError, match="beyond what ROS 2"),
+    ):
         export_ros2(bag, tmp_path / "out")
     assert [path.name for path in tmp_path.iterdir()] == ["a.mcap"]

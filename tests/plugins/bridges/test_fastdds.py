@@ -33,7 +33,11 @@ DOMAIN = 110 + hash(sys.executable + str(Path.cwd())) % 90
 
 @pytest.fixture(autouse=True)
 def defaults_of_ros(monkeypatch):
-    for name in ("ROS_DOMAIN_ID", "ROS_AUTOMATIC_DISCOVERY_RANGE", "ROS_LOCALHOST_ONLY"):
+    for name in (
+        "ROS_DOMAIN_ID",
+        "ROS_AUTOMATIC_DISCOVERY_RANGE",
+        "ROS_LOCALHOST_ONLY",
+    ):
         monkeypatch.delenv(name, raising=False)
 
 
@@ -77,12 +81,16 @@ def test_fast_dds_receives_what_the_bridge_sends(peer):
             list(bridge.step(Taxels(stamp_ns=k + 1, patch="skin", forces=forces)))
         received, _ = process.communicate(timeout=60)
     bridge.close({})
-    assert received.splitlines() == [f"n_rows=3 cols=4 {12 * k / 8:.4f}" for k in range(20)]
+    assert received.splitlines() == [
+        f"n_rows=3 cols=4 {12 * k / 8:.4f}" for k in range(20)
+    ]
 
 
 def test_the_source_receives_what_fast_dds_sends(peer):
     with started(peer, "write", "rt/glove/array", 20):
-        found = list(islice(frames(f"ros2:/glove/array?domain={DOMAIN}&timeout_s=60"), 20))
+        found = list(
+            islice(frames(f"ros2:/glove/array?domain={DOMAIN}&timeout_s=60"), 20)
+        )
     for k, (_, forces) in enumerate(found):
         expected = np.float32(k) + np.arange(24, dtype=np.float32) / np.float32(100)
         np.testing.assert_allclose(forces, expected.reshape(4, 6), rtol=1e-6)

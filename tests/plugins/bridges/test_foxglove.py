@@ -43,7 +43,9 @@ def subscribed(bridge, *topics):
     client = FoxgloveClient(bridge.where())
     client.wait_for_channels(*topics)
     client.subscribe(*topics)
-    wait_until(lambda: all(bridge._channels[topic].has_sinks() for topic in topics), "sinks")
+    wait_until(
+        lambda: all(bridge._channels[topic].has_sinks() for topic in topics), "sinks"
+    )
     return client
 
 
@@ -62,7 +64,9 @@ def test_each_frame_arrives_with_its_pixels_and_stamp(bridge):
 
 def test_a_frame_that_was_not_solved_has_the_forces_of_the_one_before(bridge):
     solved = replace(frame(0)[3], seq=1)
-    idle = replace(solved, seq=2, stamp_ns=1, forces=solved.forces[:0], unchanged=(True,))
+    idle = replace(
+        solved, seq=2, stamp_ns=1, forces=solved.forces[:0], unchanged=(True,)
+    )
     with subscribed(bridge, solved.topic) as client:
         for message in (skin_state(), replace(idle, seq=0), solved, idle):
             list(bridge.step(message))
@@ -79,19 +83,31 @@ def test_frames_of_another_shape_are_not_sent_and_a_taken_port_is_refused(bridge
     list(bridge.step(other))
     assert bridge.n_sent == 0
     port = int(bridge.where().rpartition(":")[2])
-    with pytest.raises(SettingsError, match=rf"port: cannot listen at 127.0.0.1:{port}"):
+    with pytest.raises(
+        SettingsError, match=rf"port: cannot listen at 127.0.0.1:{port}"
+    ):
         FoxgloveBridge(FoxgloveSettings(port=port), Context("two", ManualClock(0)))
 
 
 def test_hostile_requests_end_neither_server_nor_bridge(bridge):
     with FoxgloveClient(bridge.where()) as client:
         info = client.receive()
-        assert info["capabilities"] == ["time"]  # neither parameters nor messages of clients
-        for text in ("", "[]", "{", '{"op": 5}', '{"op": "subscribe", "subscriptions": 3}'):
+        assert info["capabilities"] == [
+            "time"
+        ]  # neither parameters nor messages of clients
+        for text in (
+            "",
+            "[]",
+            "{",
+            '{"op": 5}',
+            '{"op": "subscribe", "subscriptions": 3}',
+        ):
             client._socket.send(text)
         client._socket.send(b"\xff" * 100)
         client.send(op="subscribe", subscriptions=[{"id": 1, "channelId": 2**31}])
-        client.send(op="setParameters", parameters=[{"name": "x" * 5000, "value": [[[1]]]}])
+        client.send(
+            op="setParameters", parameters=[{"name": "x" * 5000, "value": [[[1]]]}]
+        )
         client.wait_for_channels(TOPIC)
         client.subscribe(TOPIC)
         wait_until(lambda: bridge._channels[TOPIC].has_sinks(), "the subscription")
@@ -99,7 +115,9 @@ def test_hostile_requests_end_neither_server_nor_bridge(bridge):
 
 @pytest.mark.slow
 def test_a_client_reads_frames_of_a_running_graph(start):
-    graph = start("launch", "path_40", "--set", "monitor.page=false", "--set", "sensor.rate_hz=20")
+    graph = start(
+        "launch", "path_40", "--set", "monitor.page=false", "--set", "sensor.rate_hz=20"
+    )
     graph.wait_for("ready")
     beside = start("bridge", "foxglove", "--port", "0")
     with FoxgloveClient(beside.wait_for("foxglove: ")) as client:

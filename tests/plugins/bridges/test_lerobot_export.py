@@ -35,7 +35,9 @@ class Dataset:
             )
             for _, one in pd.read_parquet(path).iterrows()
         ]
-        self.rows = pd.concat([pd.read_parquet(root / data) for data in places], ignore_index=True)
+        self.rows = pd.concat(
+            [pd.read_parquet(root / data) for data in places], ignore_index=True
+        )
 
     def column(self, key):
         """A feature as an array of its declared dtype and shape, a row each."""
@@ -43,7 +45,9 @@ class Dataset:
         rows = [np.array(value.tolist() if hasattr(value, "tolist") else value)
                 for value in self.rows[key]]  # fmt: skip
         shape = () if feature["shape"] == [1] else tuple(feature["shape"])
-        return np.stack(rows).astype(DTYPES[feature["dtype"]]).reshape(len(rows), *shape)
+        return (
+            np.stack(rows).astype(DTYPES[feature["dtype"]]).reshape(len(rows), *shape)
+        )
 
 
 @pytest.fixture
@@ -92,7 +96,9 @@ def test_rows_are_those_of_the_video_from_the_first_frame_to_the_last(exported):
 
 def test_each_row_holds_the_last_frames_at_or_before_its_time(exported):
     sent = [message for k in range(N_FRAMES) for message in frame(k)]
-    recorded = [message.forces[0] for message in sent if isinstance(message, Reconstruction)]
+    recorded = [
+        message.forces[0] for message in sent if isinstance(message, Reconstruction)
+    ]
     windows = exported.column(KEY)
     ages = exported.column(f"{KEY}.age")
     assert windows.shape == (len(exported.rows), WINDOW, N_ROWS * N_COLS)
@@ -100,14 +106,22 @@ def test_each_row_holds_the_last_frames_at_or_before_its_time(exported):
         at_ns = row * 10**9 // FPS
         for place in range(WINDOW):
             k = max(0, at_ns // PERIOD_NS - (WINDOW - 1 - place))
-            assert np.array_equal(windows[row, place], recorded[k].ravel()), (row, place)
-            assert ages[row, place] == pytest.approx((at_ns - k * PERIOD_NS) / 1e9, abs=1e-6)
+            assert np.array_equal(windows[row, place], recorded[k].ravel()), (
+                row,
+                place,
+            )
+            assert ages[row, place] == pytest.approx(
+                (at_ns - k * PERIOD_NS) / 1e9, abs=1e-6
+            )
 
 
 def test_the_state_of_a_row_has_the_contacts_at_or_before_its_time(tmp_path):
     bag = tmp_path / "touched.mcap"
     out = tmp_path / "touched"
-    make_bag(bag, [skin_state(), *(m for k in range(N_FRAMES) for m in [*frame(k), contacts(k)])])
+    make_bag(
+        bag,
+        [skin_state(), *(m for k in range(N_FRAMES) for m in [*frame(k), contacts(k)])],
+    )
     options = ["--out", str(out), "--contacts", "2"]
     assert main(["recording", "export", str(bag), "--to", "lerobot", *options]) == 0
     made = Dataset(out)
@@ -122,7 +136,10 @@ def test_the_state_of_a_row_has_the_contacts_at_or_before_its_time(tmp_path):
         k = row * 10**9 // FPS // PERIOD_NS
         n = k % 3
         assert values[trusted] == (k != 4)
-        assert values[[first, second]].tolist() == [(0.5 + k) * (n > 0), (0.5 + k) * (n > 1)]
+        assert values[[first, second]].tolist() == [
+            (0.5 + k) * (n > 0),
+            (0.5 + k) * (n > 1),
+        ]
     stats = made.stats["observation.state"]
     assert np.allclose(stats["mean"], rows.mean(axis=0, dtype="f8"), atol=1e-5)
     assert "/skin/contacts (2, N)" in (out / "README.md").read_text()
@@ -135,19 +152,32 @@ def truths(bag, tmp_path):
     out = tmp_path / "joined"
     with BagReader(bag) as reader:
         export_lerobot([reader] * 2, root, ["/skin/truth"], fps=FPS, window=1)
-    words = ["recording", "export", str(bag), str(bag), "--to", "lerobot", "--into", str(root)]
+    words = [
+        "recording",
+        "export",
+        str(bag),
+        str(bag),
+        "--to",
+        "lerobot",
+        "--into",
+        str(root),
+    ]
     return root, [*words, "--out", str(out)]
 
 
 def test_frames_are_joined_into_a_dataset_by_stamps(truths, bag, tmp_path, capsys):
     root, words = truths
     later = tmp_path / "later.mcap"  # begins earlier, ends later
-    make_bag(later, [skin_state(), *(m for k in range(N_FRAMES + 107) for m in frame(k))])
+    make_bag(
+        later, [skin_state(), *(m for k in range(N_FRAMES + 107) for m in frame(k))]
+    )
     words[3] = str(later)
     before = {path: path.read_bytes() for path in root.rglob("*.*") if path.is_file()}
     assert main([*words, "--offset", "0,0.07"]) == 0
     assert "later.mcap: its last 1.0" in capsys.readouterr().err
-    assert {path: path.read_bytes() for path in root.rglob("*.*") if path.is_file()} == before
+    assert {
+        path: path.read_bytes() for path in root.rglob("*.*") if path.is_file()
+    } == before
     old = Dataset(root)
     made = Dataset(tmp_path / "joined")
     n = old.info["total_frames"]
@@ -158,7 +188,9 @@ def test_frames_are_joined_into_a_dataset_by_stamps(truths, bag, tmp_path, capsy
     assert np.array_equal(both[:, : N_ROWS * N_COLS], truth)
     for row in range(n):
         k = row % (n // 2) * 10**9 // FPS // PERIOD_NS + 7 * (row >= n // 2)
-        (sent,) = (m.forces[0].ravel() for m in frame(k) if isinstance(m, Reconstruction))
+        (sent,) = (
+            m.forces[0].ravel() for m in frame(k) if isinstance(m, Reconstruction)
+        )
         assert np.array_equal(made.column(KEY)[row, -1], sent), row
         assert np.array_equal(both[row, N_ROWS * N_COLS :], sent), row
     for name in ("min", "max", "mean", "std"):
@@ -169,14 +201,26 @@ def test_frames_are_joined_into_a_dataset_by_stamps(truths, bag, tmp_path, capsy
 @pytest.mark.parametrize(
     ("more", "broken", "fault"),
     [
-        (["--offset", "0.5"], None, "the rows of its episode are those of 0.500 to 1.067 s"),
+        (
+            ["--offset", "0.5"],
+            None,
+            "the rows of its episode are those of 0.500 to 1.067 s",
+        ),
         (["--offset", "-1"], None, "lasts 0.590 s"),
         (["--offset", "1,2,3"], None, "or one for each of 2 recordings"),
         (["--fps", "30"], None, "--fps: is that of the dataset"),
-        (["--topics", "/skin/truth"], None, "has a feature observation.tactile.skin_truth"),
+        (
+            ["--topics", "/skin/truth"],
+            None,
+            "has a feature observation.tactile.skin_truth",
+        ),
         (["{bag}"], None, "has 2 episodes; state as many recordings, not 3"),
         ([], "meta/stats.json", "no dataset of LeRobot that can be read"),
-        ([], "data/chunk-000/file-000.parquet", "no dataset of LeRobot that can be read"),
+        (
+            [],
+            "data/chunk-000/file-000.parquet",
+            "no dataset of LeRobot that can be read",
+        ),
         ([], {"fps": 0}, "fps 0 is outside"),
         ([], {"features": []}, "no dataset of LeRobot that can be read"),
         ([], {"codebase_version": "v2.1"}, "'v2.1'; allowed is 'v3.0'"),
@@ -218,14 +262,26 @@ def test_statistics_are_those_of_the_rows(exported):
 
 def test_defaults_and_other_maps_are_as_documented(bag, tmp_path, capsys):
     out = tmp_path / "default"
-    assert main(["recording", "export", str(bag), "--to", "lerobot", "--out", str(out)]) == 0
+    assert (
+        main(["recording", "export", str(bag), "--to", "lerobot", "--out", str(out)])
+        == 0
+    )
     printed = capsys.readouterr().out.split()
-    assert sorted(printed) == sorted(str(path) for path in out.rglob("*") if path.is_file())
-    assert Dataset(out).info["features"][KEY]["shape"] == [4, N_ROWS * N_COLS]  # 100 Hz at 30
+    assert sorted(printed) == sorted(
+        str(path) for path in out.rglob("*") if path.is_file()
+    )
+    assert Dataset(out).info["features"][KEY]["shape"] == [
+        4,
+        N_ROWS * N_COLS,
+    ]  # 100 Hz at 30
     with BagReader(bag) as reader:
-        export_lerobot([reader], tmp_path / "o", ["/skin/truth", "/skin/taxels"], fps=10, window=1)
+        export_lerobot(
+            [reader], tmp_path / "o", ["/skin/truth", "/skin/taxels"], fps=10, window=1
+        )
     features = Dataset(tmp_path / "o").info["features"]
-    assert {"observation.tactile.skin_truth", "observation.tactile.skin_taxels"} <= set(features)
+    assert {"observation.tactile.skin_truth", "observation.tactile.skin_taxels"} <= set(
+        features
+    )
 
 
 @pytest.mark.parametrize(
@@ -234,7 +290,10 @@ def test_defaults_and_other_maps_are_as_documented(bag, tmp_path, capsys):
         (["--to", "csv", "--window", "3"], "--window: goes with --to lerobot"),
         (["--to", "lerobot", "--fps", "5000"], "--fps: 5000 is outside 1..1000"),
         (["--to", "lerobot", "--contacts", "101"], "--contacts: 101 is outside 1..100"),
-        (["--to", "lerobot", "--topics", "/skin/measurements"], "measurements are no map"),
+        (
+            ["--to", "lerobot", "--topics", "/skin/measurements"],
+            "measurements are no map",
+        ),
     ],
 )
 def test_what_makes_no_sense_is_one_line(bag, more, fault, capsys):

@@ -30,7 +30,9 @@ def decoder(kind, text, ros=2):
 
 @pytest.mark.parametrize("ros", [1, 2])
 @given(data=st.data(), defined=definitions(), is_little=st.booleans())
-def test_messages_of_any_definition_are_decoded_as_they_were_written(ros, data, defined, is_little):
+def test_messages_of_any_definition_are_decoded_as_they_were_written(
+    ros, data, defined, is_little
+):
     kind, text = defined
     store = registered(get_typestore(Stores.EMPTY), kind, text)
     value = value_of(data.draw, store, (Nodetype.NAME, kind))
@@ -73,7 +75,12 @@ def test_definitions_in_idl_are_read():
     whole = f"{SEPARATOR}\nIDL: {KIND}\n{text}\n{SEPARATOR}\nIDL: any_msgs/msg/Taxel\n{taxel}"
     known = Definitions()
     known.add(KIND, whole, "idl")
-    raw = b"\0\1\0\0" + np.array([1], "<u4").tobytes() + np.array([2.5], "<f4").tobytes() + b"\7\0"
+    raw = (
+        b"\0\1\0\0"
+        + np.array([1], "<u4").tobytes()
+        + np.array([2.5], "<f4").tobytes()
+        + b"\7\0"
+    )
     assert Decoder(known, KIND).decode(raw)["t"].tolist() == [(2.5, 7)]
     with pytest.raises(SourceError, match=r"\.idl cannot be read"):
         known.add(KIND, "module {", "idl")
@@ -83,15 +90,21 @@ def test_lists_that_multiply_are_refused_before_memory_is_used():
     levels = [f"MSG: any_msgs/L{k}\nL{k + 1}[1000] a\n" for k in range(12)]
     text = SEPARATOR.join(["L0 a\n", *(f"\n{level}" for level in levels)])
     text += f"{SEPARATOR}\nMSG: any_msgs/L12\nuint8 a\n"
-    assert "it has 1000 bytes" in refusal(lambda: decoder(KIND, text).decode(b"\0\1" + bytes(1002)))
-    entry = decoder(KIND, f"Entry[] entries\n{SEPARATOR}\nMSG: any_msgs/Entry\nstring a\nfloat64 b")
+    assert "it has 1000 bytes" in refusal(
+        lambda: decoder(KIND, text).decode(b"\0\1" + bytes(1002))
+    )
+    entry = decoder(
+        KIND, f"Entry[] entries\n{SEPARATOR}\nMSG: any_msgs/Entry\nstring a\nfloat64 b"
+    )
     huge = b"\0\1\0\0" + (2**31).to_bytes(4, "little")
     assert "longer than its message" in refusal(lambda: entry.decode(huge + bytes(50)))
 
 
 def skins():
     """Two modules of three taxels with two vectors each, and a list of temperatures."""
-    taxels = np.zeros(3, [("id", "u1"), ("moved", [("x", "f4"), ("z", "f4")]), ("force", "f4", 3)])
+    taxels = np.zeros(
+        3, [("id", "u1"), ("moved", [("x", "f4"), ("z", "f4")]), ("force", "f4", 3)]
+    )
     taxels["moved"]["z"] = [1, 2, 3]
     taxels["force"] = np.arange(9).reshape(3, 3)
     modules = [Message("any_msgs/msg/Module") for _ in range(2)]
@@ -125,7 +138,10 @@ def test_a_path_names_axes_and_entries(path, expected):
 
 def test_three_numbers_of_an_entry_are_its_channels():
     numbers = numbers_at(skins(), "modules[0].taxels[].force")
-    assert [(axis.size, axis.label) for axis in numbers.axes] == [(3, "taxels"), (3, "channel")]
+    assert [(axis.size, axis.label) for axis in numbers.axes] == [
+        (3, "taxels"),
+        (3, "channel"),
+    ]
 
 
 @pytest.mark.parametrize(
@@ -134,7 +150,10 @@ def test_three_numbers_of_an_entry_are_its_channels():
         ("modules", "state modules[] or modules[0]|a list of messages"),
         ("modules.taxels", "state modules[] or modules[0]"),
         ("modules[2].gain", "its list has 2 entries"),
-        ("modules[0].taxels[].torque", "there is no 'torque'; allowed: id, moved, force"),
+        (
+            "modules[0].taxels[].torque",
+            "there is no 'torque'; allowed: id, moved, force",
+        ),
         ("gain", "it has modules, temperatures"),
         ("modules[0", "allowed: names and [k] or []"),
         ("temperatures[][]", "is no list"),
@@ -151,8 +170,13 @@ def test_fields_that_can_be_meant_are_named_and_none_is_chosen():
     fields = [option["field"] for option in refused.value.options]
     assert "temperatures[]" in fields
     assert "modules[1].taxels[].force[]" in fields
-    assert choose_field(skins(), Layout(n_rows=2, n_cols=2), "a.bag") == "temperatures[]"
-    assert choose_field(skins(), Layout(field="modules[].gain"), "a.bag") == "modules[].gain"
+    assert (
+        choose_field(skins(), Layout(n_rows=2, n_cols=2), "a.bag") == "temperatures[]"
+    )
+    assert (
+        choose_field(skins(), Layout(field="modules[].gain"), "a.bag")
+        == "modules[].gain"
+    )
 
 
 @pytest.mark.parametrize(("channel", "expected"), [("", "Z"), ("y", "Y"), ("2", "Z")])
@@ -169,8 +193,16 @@ def test_of_three_axes_beside_each_other_one_is_meant(channel, expected):
 def test_times_are_those_of_a_field_of_any_unit():
     known = Definitions()
     known.add(KIND, "float64 time_ms\nbuiltin_interfaces/Time at\nfloat32[] data")
-    raw = b"\0\1\0\0" + np.array([2.5], "<f8").tobytes() + np.array([7, 9, 1, 5], "<u4").tobytes()
-    for time, expected in (("", 7_000_000_009), ("at", 7_000_000_009), ("time_ms", 2.5)):
+    raw = (
+        b"\0\1\0\0"
+        + np.array([2.5], "<f8").tobytes()
+        + np.array([7, 9, 1, 5], "<u4").tobytes()
+    )
+    for time, expected in (
+        ("", 7_000_000_009),
+        ("at", 7_000_000_009),
+        ("time_ms", 2.5),
+    ):
         reader = MessageReader(known, KIND, Layout(field="data", time=time))
         assert reader.read_frame(raw).time == expected
         assert reader.time_unit == ("ms" if time == "time_ms" else "ns")

@@ -37,13 +37,19 @@ class Node:
     def create_publisher(self, msg_type, topic, qos_profile):
         held = deque[bytes]()
         self.topics[topic] = made = SimpleNamespace(
-            topic_type=msg_type.__doc__, qos_profile=qos_profile, held=held, callback=None
+            topic_type=msg_type.__doc__,
+            qos_profile=qos_profile,
+            held=held,
+            callback=None,
         )
         return SimpleNamespace(
-            publish=held.append, get_subscription_count=lambda: int(made.callback is not None)
+            publish=held.append,
+            get_subscription_count=lambda: int(made.callback is not None),
         )
 
-    def create_subscription(self, msg_type, topic, callback, qos_profile, *, event_callbacks, raw):
+    def create_subscription(
+        self, msg_type, topic, callback, qos_profile, *, event_callbacks, raw
+    ):
         inspect.signature(callback).bind(b"")
         assert raw
         assert msg_type.__doc__ == self.topics[topic].topic_type
@@ -82,12 +88,17 @@ def ros(monkeypatch):
 
     def create_node(node_name, *, context, parameter_overrides, **flags):
         assert node_name.isidentifier()
-        assert flags.keys() == {"use_global_arguments", "enable_rosout", "start_parameter_services"}
+        assert flags.keys() == {
+            "use_global_arguments",
+            "enable_rosout",
+            "start_parameter_services",
+        }
         return Node()
 
     array = SimpleNamespace(__doc__="std_msgs/msg/Float32MultiArray")
     modules = dict.fromkeys(
-        ("rclpy.context", "rclpy.parameter", "rclpy.subscription", "std_msgs"), MagicMock()
+        ("rclpy.context", "rclpy.parameter", "rclpy.subscription", "std_msgs"),
+        MagicMock(),
     ) | {
         "rclpy": SimpleNamespace(
             init=lambda *, args, context, domain_id: None, create_node=create_node
@@ -106,7 +117,9 @@ def ros(monkeypatch):
 
 @pytest.mark.parametrize("reliable", [True, False])
 def test_frames_go_from_the_bridge_to_the_source_by_rclpy(reliable):
-    settings = Ros2Settings(domain=DOMAIN, messages=("array",), reliable=reliable, history=100)
+    settings = Ros2Settings(
+        domain=DOMAIN, messages=("array",), reliable=reliable, history=100
+    )
     bridge = Ros2Bridge(settings, Context("ros2-1", ManualClock(0)))
     list(bridge.start())
     received = []
@@ -119,18 +132,26 @@ def test_frames_go_from_the_bridge_to_the_source_by_rclpy(reliable):
     for k, forces in enumerate(sent):
         list(bridge.step(Taxels(stamp_ns=k + 1, patch="skin", forces=forces)))
     reading.join()
-    assert [forces.tolist() for _, forces in received] == [one[0].tolist() for one in sent]
+    assert [forces.tolist() for _, forces in received] == [
+        one[0].tolist() for one in sent
+    ]
     bridge.close({})
 
 
 def test_rclpy_has_no_other_interface_and_its_absence_is_one_line(monkeypatch):
-    with pytest.raises(SettingsError, match=r"'eth0' is not allowed with rclpy \(allowed: 'lo'"):
+    with pytest.raises(
+        SettingsError, match=r"'eth0' is not allowed with rclpy \(allowed: 'lo'"
+    ):
         topics.join(DOMAIN, "eth0", "a")
     member = topics.join(DOMAIN, "", "a")
-    with pytest.raises(SettingsError, match="my_msgs/msg/Touch needs the ROS package my_msgs"):
+    with pytest.raises(
+        SettingsError, match="my_msgs/msg/Touch needs the ROS package my_msgs"
+    ):
         member.writer("/a", "my_msgs/msg/Touch", 1, True)
     member.close()
     monkeypatch.setitem(sys.modules, "rclpy", None)
     monkeypatch.setattr("sparseskin.plugins.bridges.base.find_spec", lambda _: None)
-    with pytest.raises(SettingsError, match=r"source /opt/ros/.*pip install 'sparseskin\[ros2\]'"):
+    with pytest.raises(
+        SettingsError, match=r"source /opt/ros/.*pip install 'sparseskin\[ros2\]'"
+    ):
         topics.check("type ros2")

@@ -54,13 +54,17 @@ class Read:
     """All that a recording holds; raises as it does."""
 
     def __init__(self, path, layout=EMPTY):
-        names = [str(file) for file in files_of(path)] if isinstance(path, Path) else path
+        names = (
+            [str(file) for file in files_of(path)] if isinstance(path, Path) else path
+        )
         with Path(names[0]).open("rb") as opened:
             recording = RosRecording(File(opened, names[0], tuple(names[1:]), layout))
             head = recording.head()
             places = arrange(layout, head.axes, names[0])
             blocks = list(recording.blocks())
-        self.frames = [frame for block in blocks for frame in places.frames(block.numbers)]
+        self.frames = [
+            frame for block in blocks for frame in places.frames(block.numbers)
+        ]
         self.times = [time for block in blocks for time in block.times]
         self.notes = head.notes
         self.tally = recording.tally
@@ -70,7 +74,12 @@ class Read:
 def images(n, **changes):
     """Messages of images."""
     made = [
-        Sent(np.arange(12).reshape(3, 4) + k, "palm", BEGIN_NS + k * PERIOD_NS, BEGIN_NS + k)
+        Sent(
+            np.arange(12).reshape(3, 4) + k,
+            "palm",
+            BEGIN_NS + k * PERIOD_NS,
+            BEGIN_NS + k,
+        )
         for k in range(n)
     ]
     return [replace(one, **changes) for one in made]
@@ -104,7 +113,9 @@ def test_a_drawn_bag_is_read_back_and_each_message_is_accounted_for(
 
 @any_folder
 @given(data=st.data(), grid=grids(), storage=st.sampled_from(STORAGES))
-def test_of_a_bag_that_is_cut_off_all_before_the_cut_is_read(tmp_path, data, grid, storage):
+def test_of_a_bag_that_is_cut_off_all_before_the_cut_is_read(
+    tmp_path, data, grid, storage
+):
     sent = [one for one in frames_sent(data.draw, grid, 40) if one.frame is not None]
     path = write_bag(tmp_path, storage, "", grid, sent)
     (file,) = files_of(path)
@@ -203,7 +214,9 @@ def test_two_frames_on_one_topic_are_never_one_skin(tmp_path, data, grid, storag
         if expected:
             read = Read(path, replace(grid.layout, frame_id=frame_id))
             assert np.array_equal(read.frames, expected)
-            assert sum(read.tally.dropped.values()) == len(left) + len(right) - len(expected)
+            assert sum(read.tally.dropped.values()) == len(left) + len(right) - len(
+                expected
+            )
 
 
 @pytest.mark.parametrize("storage", STORAGES)
@@ -231,7 +244,9 @@ def test_the_files_of_a_bag_of_ros_2_follow_each_other(tmp_path, kind):
         (tmp_path / name / "bag" / "metadata.yaml").unlink()
         (tmp_path / name / "bag").rmdir()
         (tmp_path / name).rmdir()
-    np.testing.assert_array_equal(open_file(tmp_path).frames, [one.frame for one in sent])
+    np.testing.assert_array_equal(
+        open_file(tmp_path).frames, [one.frame for one in sent]
+    )
 
 
 def test_stamps_that_fall_are_never_used_without_a_word(tmp_path):
@@ -239,7 +254,9 @@ def test_stamps_that_fall_are_never_used_without_a_word(tmp_path):
     # Of a clock that was set.
     sent[2] = replace(sent[2], stamp_ns=sent[0].stamp_ns - 10**9)
     path = write_bag(tmp_path, "mcap", "", IMAGES, sent)
-    with pytest.raises(UnstatedError, match="message 3: its stamp is before") as refused:
+    with pytest.raises(
+        UnstatedError, match="message 3: its stamp is before"
+    ) as refused:
         Read(path)
     assert refused.value.options == ({"time": "log"},)
     assert Read(path, replace(EMPTY, time="log")).times == [one.log_ns for one in sent]
@@ -268,7 +285,9 @@ def test_messages_are_sorted_by_the_times_at_which_they_were_recorded(tmp_path):
         read = Read(write_bag(tmp_path, storage, "", IMAGES, shuffled))
         assert np.array_equal(read.frames, [one.frame for one in sent])
     far = [*images(WINDOW + 2, stamp_ns=0)[1:], sent[0]]
-    with pytest.raises(SourceError, match="was recorded before more than 1024 messages"):
+    with pytest.raises(
+        SourceError, match="was recorded before more than 1024 messages"
+    ):
         Read(write_bag(tmp_path, "mcap", "", IMAGES, far))
     assert list(in_order(iter(()))) == []
 
@@ -307,9 +326,15 @@ def write_topics(folder, storage, grids_of):
 
 @pytest.mark.parametrize("storage", ["db3", "mcap"])
 def test_of_several_topics_none_is_chosen(tmp_path, storage):
-    topics = {"/joints": None, "/left": IMAGES, "/right": Grid("stream", 3, 4, "<i4", 3)}
+    topics = {
+        "/joints": None,
+        "/left": IMAGES,
+        "/right": Grid("stream", 3, 4, "<i4", 3),
+    }
     path = write_topics(tmp_path, storage, topics)
-    with pytest.raises(UnstatedError, match=r"2 topics of frames.*/left Image .3 x 4") as refused:
+    with pytest.raises(
+        UnstatedError, match=r"2 topics of frames.*/left Image .3 x 4"
+    ) as refused:
         Read(path)
     ways = [{"topic": "/left"}, {"topic": "/right", "field": "modules[0].taxels[].z"}]
     assert list(refused.value.options) == ways
@@ -317,7 +342,9 @@ def test_of_several_topics_none_is_chosen(tmp_path, storage):
     for way in ways:
         read = Read(path, EMPTY.stating({"n_rows": 3, "n_cols": 4, **way}))
         assert np.array_equal(read.frames, [frame])
-    read = Read(path, EMPTY.stating({"n_rows": 3, "n_cols": 4, **ways[1], "channel": ""}))
+    read = Read(
+        path, EMPTY.stating({"n_rows": 3, "n_cols": 4, **ways[1], "channel": ""})
+    )
     assert len(read.frames) == 1
     with pytest.raises(SourceError, match="no topic '/off'; allowed: "):
         Read(path, replace(EMPTY, topic="/off"))
@@ -364,7 +391,9 @@ def whole(tmp_path_factory):
 
 @any_folder
 @given(data=st.data(), kind=st.sampled_from(STORAGES))
-def test_random_and_mutated_recordings_are_read_or_refused_in_one_line(tmp_path, whole, data, kind):
+def test_random_and_mutated_recordings_are_read_or_refused_in_one_line(
+    tmp_path, whole, data, kind
+):
     path = tmp_path / f"any.{kind}"
     read = []
     path.write_bytes(mutated(data, whole[kind]))
@@ -387,8 +416,14 @@ def labelled_bag(path, messages):
     with rosbag2.Writer(path, version=9) as writer:
         connection = writer.add_connection(TOPIC, LABELLED, typestore=store)
         for k, (time_ms, skin, ids, values) in enumerate(messages):
-            body = store.types[LABELLED](time_ms, skin, np.array(ids, "u1"), np.array(values, "f4"))
-            writer.write(connection, BEGIN_NS + k * PERIOD_NS, store.serialize_cdr(body, LABELLED))
+            body = store.types[LABELLED](
+                time_ms, skin, np.array(ids, "u1"), np.array(values, "f4")
+            )
+            writer.write(
+                connection,
+                BEGIN_NS + k * PERIOD_NS,
+                store.serialize_cdr(body, LABELLED),
+            )
     return path
 
 
@@ -397,7 +432,8 @@ def labelled_bag(path, messages):
 def test_members_of_messages_say_time_skin_and_order(tmp_path, order, n_skins):
     values = np.arange(6.0)
     messages = [
-        (70 * k, k % n_skins, order, values[list(order)] + 10 * k) for k in range(4 * n_skins)
+        (70 * k, k % n_skins, order, values[list(order)] + 10 * k)
+        for k in range(4 * n_skins)
     ]
     path = labelled_bag(tmp_path / "bag", messages)
     layout = Layout(n_rows=2, n_cols=3, field="values[]")
@@ -409,7 +445,9 @@ def test_members_of_messages_say_time_skin_and_order(tmp_path, order, n_skins):
         numbers = np.arange(skin, 4 * n_skins, n_skins)
         expected = values + 10 * numbers[:, np.newaxis]
         np.testing.assert_array_equal(source.frames, expected.reshape(-1, 2, 3))
-        np.testing.assert_allclose(source.stamp_ns / 1e9, 0.07 * (numbers - skin), atol=1e-9)
+        np.testing.assert_allclose(
+            source.stamp_ns / 1e9, 0.07 * (numbers - skin), atol=1e-9
+        )
 
 
 def test_taxels_that_change_places_are_refused(tmp_path):

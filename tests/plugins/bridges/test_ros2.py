@@ -67,7 +67,8 @@ def frame(k):
 def sent(messages, kind, topic, **of_skin):
     """What the other process received of these messages, of a skin with these properties, too."""
     bridge = Ros2Bridge(
-        Ros2Settings(domain=DOMAIN, messages=(kind,), history=1000), Context("ros2", ManualClock(0))
+        Ros2Settings(domain=DOMAIN, messages=(kind,), history=1000),
+        Context("ros2", ManualClock(0)),
     )
     list(bridge.start())
     skin = skin_state(n_rows=6, n_cols=9, pitch_m=0.25, mask=MASK, **of_skin)
@@ -85,7 +86,9 @@ def sent(messages, kind, topic, **of_skin):
 
 def test_images_arrive_in_another_process_each_with_its_pixels_and_stamp():
     messages = [frame(k) for k in range(200)]
-    for message, got in zip(messages, sent(list(messages), "image", "/skin/taxels"), strict=True):
+    for message, got in zip(
+        messages, sent(list(messages), "image", "/skin/taxels"), strict=True
+    ):
         assert got["stamp_ns"] == message.stamp_ns
         assert got["frame_id"] == "skin"
         assert got["shape"] == [6, 9]
@@ -101,7 +104,9 @@ def test_points_are_the_taxels_that_exist_with_their_place_and_row(of_file):
         places = np.random.default_rng(0).normal(size=places.shape).astype(np.float32)
         order = np.random.default_rng(1).permutation(len(places)).astype(np.int32)
         order[0] = 2**31 - 1
-        points = np.concatenate([places, np.tile(np.float32([0, 0, 1]), (len(places), 1))], axis=1)
+        points = np.concatenate(
+            [places, np.tile(np.float32([0, 0, 1]), (len(places), 1))], axis=1
+        )
         of_skin = {"points": points, "point_rows": order}
     (got,) = sent([frame(3)], "points", "/skin/taxels/points", **of_skin)
     assert got["points"] == np.column_stack([places, frame(3).forces[0][MASK]]).tolist()
@@ -126,7 +131,9 @@ def test_contacts_are_published_as_wrench_markers_and_array():
     for message in (skin, sent):
         list(bridge.step(message))
     for kind, (_, _, make) in OF_CONTACTS.items():
-        assert readers[kind].take(60, 1)[0].startswith(make(sent, skin))  # DDS pads to 4 bytes
+        assert (
+            readers[kind].take(60, 1)[0].startswith(make(sent, skin))
+        )  # DDS pads to 4 bytes
     bridge.close({})
 
 
@@ -153,7 +160,9 @@ def installed(folder, monkeypatch):
     yield
 
 
-def test_a_message_of_an_installed_package_is_a_source_by_its_field(tmp_path, monkeypatch):
+def test_a_message_of_an_installed_package_is_a_source_by_its_field(
+    tmp_path, monkeypatch
+):
     layout = Layout(n_rows=6, n_cols=9, field="modules[0].taxels[].z")
     with installed(tmp_path, monkeypatch), peer("write", "/peer/skin", "skin", 20):
         source = f"ros2:/peer/skin?domain={DOMAIN}&timeout_s=60"
@@ -174,26 +183,36 @@ def test_a_topic_whose_fields_or_shape_are_not_stated_names_them():
     assert read.frame(raw) is None
     assert read.n_refused == 1
     assert read.why == "a stamp that is not after the one before it"
-    with pytest.raises(SourceError, match="several frames: 'left', 'right'; state frame_id"):
+    with pytest.raises(
+        SourceError, match="several frames: 'left', 'right'; state frame_id"
+    ):
         read.frame(other)
     right = TopicFrames("ros2:/a", cdr.IMAGE, Layout(frame_id="right", order="rows"))
     assert right.frame(raw) is None
     assert np.array_equal(right.frame(other)[1], forces(1))
     joints = cdr.types().types["sensor_msgs/msg/JointState"]
     header = cdr._header((1, 2), "arm")
-    state = cdr.types().serialize_cdr(joints(header, ["a"], *[np.ones(2)] * 3), joints.__msgtype__)
-    with pytest.raises(SourceError, match=r"3 fields of numbers: position\[\] .2., velocity"):
+    state = cdr.types().serialize_cdr(
+        joints(header, ["a"], *[np.ones(2)] * 3), joints.__msgtype__
+    )
+    with pytest.raises(
+        SourceError, match=r"3 fields of numbers: position\[\] .2., velocity"
+    ):
         TopicFrames("ros2:/a", joints.__msgtype__, Layout()).frame(bytes(state))
     with pytest.raises(
         SourceError, match=r"maker_msgs/msg/None is not known; source the setup\.bash"
     ):
         TopicFrames("ros2:/a", "maker_msgs/msg/None", Layout())
     with pytest.raises(SourceError, match="in which shape is not stated"):
-        TopicFrames("ros2:/a", joints.__msgtype__, Layout(field="effort")).frame(bytes(state))
+        TopicFrames("ros2:/a", joints.__msgtype__, Layout(field="effort")).frame(
+            bytes(state)
+        )
 
 
 def test_a_topic_that_nobody_publishes_is_one_line():
-    with pytest.raises(SourceError, match=r"ros2:/none: nobody publishes there on DDS domain"):
+    with pytest.raises(
+        SourceError, match=r"ros2:/none: nobody publishes there on DDS domain"
+    ):
         next(frames(f"ros2:/none?domain={DOMAIN}&timeout_s=0.3"))
 
 
@@ -239,7 +258,9 @@ def test_nodes_that_state_hashes_read_the_name_and_its_topics(hashes):
     for n in (1, 2) if hashes else ():
         held = []
         wait_until(lambda: held.extend(reader.take(1)) or held, "the node")  # noqa: B023
-        (info,) = cdr.types().deserialize_cdr(held[0].cdr, dds.NODES).node_entities_info_seq
+        (info,) = (
+            cdr.types().deserialize_cdr(held[0].cdr, dds.NODES).node_entities_info_seq
+        )
         assert info.node_name == "sparseskin_ros2_1"
         assert len(info.writer_gid_seq) == n
         member.writer("/b", cdr.ARRAY, 1, True)
@@ -253,13 +274,18 @@ def test_nodes_that_state_hashes_read_the_name_and_its_topics(hashes):
         ({}, r"by (?!lo$)"),
         ({"RANGE": "SUBNET"}, r"by (?!lo$)"),
         ({"RANGE": "SUBNET", "ONLY": "1"}, "by lo$"),
-        ({"RANGE": "OFF"}, r"'OFF' is not allowed \(allowed: LOCALHOST, SUBNET, SYSTEM_DEFAULT"),
+        (
+            {"RANGE": "OFF"},
+            r"'OFF' is not allowed \(allowed: LOCALHOST, SUBNET, SYSTEM_DEFAULT",
+        ),
         ({"ID": "233"}, r"ROS_DOMAIN_ID: '233' is outside 0\.\.232"),
     ],
 )
 def test_domain_and_range_are_those_of_ros_2(variables, expected, monkeypatch):
     names = {"RANGE": "ROS_AUTOMATIC_DISCOVERY_RANGE", "ONLY": "ROS_LOCALHOST_ONLY"}
-    monkeypatch.setattr(dds, "Domain", lambda *_: None)  # a process can configure each once
+    monkeypatch.setattr(
+        dds, "Domain", lambda *_: None
+    )  # a process can configure each once
     monkeypatch.delenv(names["RANGE"])
     monkeypatch.setenv("ROS_DOMAIN_ID", str(DOMAIN + 30))
     for key, value in variables.items():
@@ -279,7 +305,9 @@ CLOUD = cdr.cloud((3, 4), "skin", {"x": forces(1).ravel(), "force": forces(0).ra
 
 
 @given(st.binary(max_size=200), st.booleans(), st.data())
-def test_what_is_written_is_read_and_hostile_bytes_are_refused_or_read(data, begins, draw):
+def test_what_is_written_is_read_and_hostile_bytes_are_refused_or_read(
+    data, begins, draw
+):
     for whole, kind in ((IMAGE, cdr.IMAGE), (ARRAY, cdr.ARRAY), (CLOUD, cdr.CLOUD)):
         read = MessageReader(Definitions(), kind, Layout()).read_frame
         received = read(whole)
@@ -288,7 +316,11 @@ def test_what_is_written_is_read_and_hostile_bytes_are_refused_or_read(data, beg
         mutated = bytearray(whole)
         at = draw.draw(st.integers(0, len(whole) - 1))
         mutated[at : at + len(data)] = data
-        for one in (bytes(mutated), data if not begins else IMAGE[:4] + data, whole[:at]):
+        for one in (
+            bytes(mutated),
+            data if not begins else IMAGE[:4] + data,
+            whole[:at],
+        ):
             try:
                 numbers = read(one).numbers
             except SourceError:

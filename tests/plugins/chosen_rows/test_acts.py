@@ -61,7 +61,9 @@ def test_an_untouched_skin_is_read_evenly_and_a_contact_and_around_it_whole():
 
 @pytest.mark.parametrize("m", [0, 101])
 def test_more_readings_than_taxels_are_refused(m):
-    with pytest.raises(PhiError, match=rf"acts: m = {m} is not allowed; allowed: 1\.\.100"):
+    with pytest.raises(
+        PhiError, match=rf"acts: m = {m} is not allowed; allowed: 1\.\.100"
+    ):
         ActsSearch(everywhere(10, 10), m, THRESHOLD)
 
 
@@ -83,8 +85,16 @@ def test_what_is_read_are_the_taxels_that_were_chosen():
     [
         ("acts", None, "come without the places"),
         ("acts", packed_places(np.arange(3), 100), "3 taxels are read; expected m = 4"),
-        ("acts", packed_places(np.array([0, 1, 2, 103]), 104), r"not ascending within 0\.\.99"),
-        ("subsample", packed_places(np.arange(4), 100), "subsample: measurements with places; "),
+        (
+            "acts",
+            packed_places(np.array([0, 1, 2, 103]), 104),
+            r"not ascending within 0\.\.99",
+        ),
+        (
+            "subsample",
+            packed_places(np.arange(4), 100),
+            "subsample: measurements with places; ",
+        ),
     ],
 )
 def test_places_that_do_not_fit_are_refused(kind, places, text):
@@ -104,7 +114,12 @@ def graph(*overrides, name="path_40", record=None):
 
 
 def reconstructions(bus, n_frames):
-    found = [m for frame in bus.frames(n_frames) for m in frame if isinstance(m, Reconstruction)]
+    found = [
+        m
+        for frame in bus.frames(n_frames)
+        for m in frame
+        if isinstance(m, Reconstruction)
+    ]
     bus.close()
     return found
 
@@ -130,25 +145,43 @@ def test_m_changes_while_the_graph_runs(overrides):
 
 def test_interpolation_leaves_readings_unchanged():
     for frame in graph(*ACTS, "compressor.bits=12").frames(3):
-        taxels, made, found = (only(frame, k) for k in (Taxels, Measurements, Reconstruction))
+        taxels, made, found = (
+            only(frame, k) for k in (Taxels, Measurements, Reconstruction)
+        )
         assert made.places is not None
         read = np.flatnonzero(np.unpackbits(made.places))
-        np.testing.assert_allclose(made.y[0], taxels.forces.reshape(-1)[read], atol=1e-3)
-        np.testing.assert_array_equal(found.forces.reshape(-1)[read], np.maximum(made.y[0], 0))
+        np.testing.assert_allclose(
+            made.y[0], taxels.forces.reshape(-1)[read], atol=1e-3
+        )
+        np.testing.assert_array_equal(
+            found.forces.reshape(-1)[read], np.maximum(made.y[0], 0)
+        )
         assert found.residual == (0,)
 
 
 @pytest.mark.parametrize(
     ("overrides", "text"),
     [
-        (ACTS[:1], 'solver "skin": phi "acts" reads other rows each frame; allowed: interpolation'),
-        (ACTS[1:], 'solver "interpolation": phi "sbhe" mixes taxels; allowed: a phi that reads'),
-        ((*ACTS, "compressor.rows=rotating"), '"rotating" is not allowed for phi "acts"'),
+        (
+            ACTS[:1],
+            'solver "skin": phi "acts" reads other rows each frame; allowed: interpolation',
+        ),
+        (
+            ACTS[1:],
+            'solver "interpolation": phi "sbhe" mixes taxels; allowed: a phi that reads',
+        ),
+        (
+            (*ACTS, "compressor.rows=rotating"),
+            '"rotating" is not allowed for phi "acts"',
+        ),
         (
             (*ADAPTIVE, "reconstructor.preset=paper"),
             'solver "fista": phi "adaptive" reads other rows each frame; allowed: skin',
         ),
-        ((*ADAPTIVE, "reconstructor.uncertainty=true"), "is not available with phi adaptive"),
+        (
+            (*ADAPTIVE, "reconstructor.uncertainty=true"),
+            "is not available with phi adaptive",
+        ),
         (
             (*ACTS, "reconstructor.uncertainty=true"),
             "uncertainty=true: is not available with solver interpolation, whose error",
@@ -179,7 +212,9 @@ def test_a_recording_replays_and_is_reprocessed_to_the_same_bits(chosen, tmp_pat
 @pytest.mark.parametrize("kind", ["acts", "adaptive"])
 def test_a_kind_that_chooses_has_fixed_rows_one_patch_and_a_place_in_settings(kind):
     assert CompressorSettings(phi=kind).rows_and_m(1600) == ("fixed", 533)
-    with pytest.raises(SettingsError, match=f"phi: {kind} chooses other rows for each patch"):
+    with pytest.raises(
+        SettingsError, match=f"phi: {kind} chooses other rows for each patch"
+    ):
         Compressor.Settings(phi=kind, patches=("left", "right")).check()
     (entry,) = (one for one in CompressorSettings.described() if one["key"] == "phi")
     assert kind in entry["known"]
@@ -188,8 +223,12 @@ def test_a_kind_that_chooses_has_fixed_rows_one_patch_and_a_place_in_settings(ki
 
 
 @pytest.mark.parametrize("kind", ["acts", "adaptive"])
-@pytest.mark.parametrize(("shape", "ratio"), [((4, 8), 3), ((19, 12), 4), ((64, 64), 8)])
-def test_measurements_with_the_code_of_their_rows_fill_the_bytes_of_m(kind, shape, ratio):
+@pytest.mark.parametrize(
+    ("shape", "ratio"), [((4, 8), 3), ((19, 12), 4), ((64, 64), 8)]
+)
+def test_measurements_with_the_code_of_their_rows_fill_the_bytes_of_m(
+    kind, shape, ratio
+):
     mask = everywhere(*shape)
     m = mask.size // ratio
     n_values = values_that_fit(kind, mask, m)

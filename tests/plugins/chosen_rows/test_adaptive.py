@@ -67,7 +67,11 @@ def test_a_contact_of_few_taxels_is_measured_whole_in_its_first_frame():
     phi = phi_of(np.ones((40, 40), np.bool_), 200)
     choice = AdaptiveChoice(phi)
     held = HeldRows(phi)
-    for frame in (np.zeros((40, 40), np.float32), press(40, 40, 17, 22), press(40, 40, 18, 23)):
+    for frame in (
+        np.zeros((40, 40), np.float32),
+        press(40, 40, 17, 22),
+        press(40, 40, 18, 23),
+    ):
         y = measured(phi, choice, frame)
         held.begin()
         held.read(phi.rows, y)
@@ -99,7 +103,9 @@ def test_a_fingerprint_is_of_the_numbers_and_of_the_grid():
 
 @pytest.mark.parametrize(("n", "m", "least"), [(100, 3, 4), (3, 2, 3)])
 def test_fewer_measurements_than_a_sum_and_a_node_are_refused(n, m, least):
-    with pytest.raises(PhiError, match=rf"m = {m} is not allowed; allowed: {least}\.\.{n}"):
+    with pytest.raises(
+        PhiError, match=rf"m = {m} is not allowed; allowed: {least}\.\.{n}"
+    ):
         make_phi("adaptive", n, m, seed=0)
 
 
@@ -114,11 +120,27 @@ GRID = np.ones((16, 16), np.bool_)
     ("phi", "code", "text"),
     [
         (phi_of(GRID, 64), None, "come without the nodes of their rows"),
-        (phi_of(GRID, 64), code_of(phi_of(GRID, 64), 21), r"nodes of 67 .* expected m = 64"),
-        (phi_of(GRID, 64), code_of(phi_of(GRID, 64), 19), r"nodes of 61 .* expected m = 64"),
+        (
+            phi_of(GRID, 64),
+            code_of(phi_of(GRID, 64), 21),
+            r"nodes of 67 .* expected m = 64",
+        ),
+        (
+            phi_of(GRID, 64),
+            code_of(phi_of(GRID, 64), 19),
+            r"nodes of 61 .* expected m = 64",
+        ),
         (phi_of(GRID, 64), np.array([255], np.uint8), "malformed: too short"),
-        (phi_of(GRID, 64), np.array([128, 0, 0], np.uint8), "malformed: not as it is coded"),
-        (make_phi("sbhe", 256, 64, seed=0), np.array([0], np.uint8), "measurements with nodes; "),
+        (
+            phi_of(GRID, 64),
+            np.array([128, 0, 0], np.uint8),
+            "malformed: not as it is coded",
+        ),
+        (
+            make_phi("sbhe", 256, 64, seed=0),
+            np.array([0], np.uint8),
+            "measurements with nodes; ",
+        ),
     ],
 )
 def test_nodes_that_do_not_fit_are_refused(phi, code, text):
@@ -157,7 +179,9 @@ def test_first_rows_are_the_normalised_sums_of_tiles(shape):
 def test_the_code_of_nodes_is_read_back(exists, data):
     tree = Quadtree(exists, int(exists.sum()))
     rng = np.random.default_rng(data.draw(st.integers(0, 1000)))
-    chosen = rng.random(tree.n_nodes) < data.draw(st.sampled_from([0.0, 0.05, 0.5, 1.0]))
+    chosen = rng.random(tree.n_nodes) < data.draw(
+        st.sampled_from([0.0, 0.05, 0.5, 1.0])
+    )
     np.testing.assert_array_equal(tree.decoded(tree.coded(chosen)), chosen)
 
 

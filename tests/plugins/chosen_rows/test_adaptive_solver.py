@@ -19,7 +19,14 @@ from sparseskin.studies.presses import press_frames
 
 def method(shape, ratio, mask=None, **more):
     return make_method(
-        PRESETS["skin"], shape, ratio, 0, phi="adaptive", rows="fixed", mask=mask, **more
+        PRESETS["skin"],
+        shape,
+        ratio,
+        0,
+        phi="adaptive",
+        rows="fixed",
+        mask=mask,
+        **more,
     )
 
 
@@ -35,7 +42,9 @@ def test_a_small_contact_is_reconstructed_at_n_over_8_from_its_first_frame_on():
     made = method((40, 40), 8)
     frames = frames_of((40, 40), 60, course="sudden", active=0.02)
     solved = [made.reconstruct(frame) for frame in frames]
-    errors = [error(a.forces, b) for a, b in zip(solved, frames, strict=True) if b.any()]
+    errors = [
+        error(a.forces, b) for a, b in zip(solved, frames, strict=True) if b.any()
+    ]
     assert len(errors) > 20
     assert max(errors) < 0.05
 
@@ -45,7 +54,9 @@ def test_on_a_moving_noisy_press_it_is_above_the_reading_of_all_taxels():
     made = method((40, 40), 4, sigma_end=noise.sigma_end)
     found = Scores()
     read = Scores()
-    for truth, taxels in press_frames("gaussian", (40, 40), 60, 0, speed=0.25, noise=noise):
+    for truth, taxels in press_frames(
+        "gaussian", (40, 40), 60, 0, speed=0.25, noise=noise
+    ):
         found.add(made.reconstruct(taxels), truth)
         read.add(Reading().reconstruct(taxels), truth)
     assert np.mean(found.contact_db) > np.mean(read.contact_db) + 2
@@ -56,7 +67,9 @@ def test_a_still_press_on_any_skin_is_known_after_all_rows_are_read(shape, ratio
     mask = np.ones(shape, np.bool_)
     mask[8:11, 3:] = False
     made = method(shape, ratio, mask)
-    truth = np.where(mask, np.random.default_rng(0).uniform(0.1, 1, shape), 0).astype(np.float32)
+    truth = np.where(mask, np.random.default_rng(0).uniform(0.1, 1, shape), 0).astype(
+        np.float32
+    )
     for _ in range(120):
         found = made.reconstruct(truth).forces
     np.testing.assert_allclose(found, truth, atol=0.03)
@@ -125,7 +138,9 @@ def adaptive(n, m):
 
 def test_a_phi_gets_the_grid_of_the_solver_and_keeps_the_one_it_has():
     phi = adaptive(64, 16)
-    assert isinstance(make_solver("skin", phi, make_basis("haar", 8, 8)), AdaptiveSkinSolver)
+    assert isinstance(
+        make_solver("skin", phi, make_basis("haar", 8, 8)), AdaptiveSkinSolver
+    )
     assert phi.exists.shape == (8, 8)
     with pytest.raises(SolverError, match="laid out on another grid"):
         make_solver("skin", phi, make_basis("haar", 4, 16))

@@ -12,7 +12,14 @@ from measured_costs import SIZES, measure
 
 from sparseskin.nodes.errors import SettingsError
 from sparseskin.plugins.design import text
-from sparseskin.plugins.design.budget import NO_GRID, STAGES, Accuracy, budget, frame_bytes, row_of
+from sparseskin.plugins.design.budget import (
+    NO_GRID,
+    STAGES,
+    Accuracy,
+    budget,
+    frame_bytes,
+    row_of,
+)
 from sparseskin.plugins.design.models import (
     FIGURES,
     FORCE,
@@ -78,9 +85,15 @@ def test_the_budget_that_taxelscan_publishes_of_eight_boards_on_one_bus_is_found
     """Its 60 Hz, 80 % of the bus, 1.05 MB/s and 11.2 ms of scan within 10 %: requests, headers and
     dark sweeps are not modelled. Source: `rigs.toml`.
     """
-    keys = {"taxels": 8192, "converters": 8, "adc": "16bit@140.25kS/s", "settling": "3us"}
+    keys = {
+        "taxels": 8192,
+        "converters": 8,
+        "adc": "16bit@140.25kS/s",
+        "settling": "3us",
+    }
     found = row_of(
-        STRATEGIES["all taxels"], make_design({**keys, "bus": "serial:12.5M", "rate": "60"})
+        STRATEGIES["all taxels"],
+        make_design({**keys, "bus": "serial:12.5M", "rate": "60"}),
     )
     assert found.is_met
     assert 60 * found.stage_s["bus"] == pytest.approx(0.80, rel=0.1)
@@ -113,7 +126,9 @@ def test_the_slowest_stage_limits_the_rate_and_the_latency_is_their_sum():
         assert found.stage_hz[found.limit] == found.possible_hz
         assert found.reached_hz == min(1000.0, found.possible_hz)
         assert found.latency_s == pytest.approx(sum(found.stage_s.values()) + HOP_S)
-        assert found.host_cores == pytest.approx(found.reached_hz * found.stage_s["host"])
+        assert found.host_cores == pytest.approx(
+            found.reached_hz * found.stage_s["host"]
+        )
         assert set(found.stage_hz) == set(STAGES)
 
 
@@ -130,7 +145,9 @@ def test_a_skin_of_several_patches_uses_several_cores():
 
 def test_points_have_no_rows_and_no_neighbourhoods():
     rows = budget(make_design({"taxels": 4000}))
-    assert [r.strategy.name for r in rows] == [n for n in STRATEGIES if n not in NO_GRID]
+    assert [r.strategy.name for r in rows] == [
+        n for n in STRATEGIES if n not in NO_GRID
+    ]
     # The smallest near square: 64 x 63 lines for 4000 points.
     assert rows[0].lines == 64 + 63
     # They are simulated on it, too.
@@ -147,7 +164,9 @@ def test_stored_costs_are_of_all_sizes_and_lie_between_their_neighbours():
     for name in STRATEGIES:
         ends = sorted((cost(name, 1024).dense_s, cost(name, 4096).dense_s))
         assert ends[0] <= cost(name, 2000).dense_s <= ends[1]
-        assert cost(name, 2 * LARGEST).dense_s == pytest.approx(2 * cost(name, LARGEST).dense_s)
+        assert cost(name, 2 * LARGEST).dense_s == pytest.approx(
+            2 * cost(name, LARGEST).dense_s
+        )
         assert cost(name, 16).edge_s == pytest.approx(cost(name, 384).edge_s)
 
 
@@ -172,7 +191,10 @@ def with_db(rows, **db):
     [
         # 512 readings of 10 bits: 655 bytes are 3.28 ms; 512 conversions 2.56 ms
         ({}, "bus: 655 bytes take 3.28 ms (UART at 2 Mbaud): 305 Hz"),
-        ({"bus": "udp"}, "ADC: 512 conversions take 2.56 ms (10 bit at 200 kS/s): 391 Hz"),
+        (
+            {"bus": "udp"},
+            "ADC: 512 conversions take 2.56 ms (10 bit at 200 kS/s): 391 Hz",
+        ),
         (
             {"bus": "udp", "edge": "cortex-m4@1MHz"},
             "edge: 23,318 instructions take 46.6 ms (Cortex-M4 at 1 MHz): 21 Hz",
@@ -193,7 +215,9 @@ def test_a_design_that_all_taxels_hold_advises_to_read_them():
     fewer = f"{best.n_bytes} bytes ({1 - best.n_bytes / rows[0].n_bytes:.0%} fewer)"
     first, *others = text.conclusions(rows, design)
     costs = f"16 wires, 64 conversions and {rows[0].n_bytes} bytes per frame"
-    assert first.startswith(f"Read all taxels: {costs} reach 20 Hz, and nothing has to be")
+    assert first.startswith(
+        f"Read all taxels: {costs} reach 20 Hz, and nothing has to be"
+    )
     # Sums that are made by the edge spare bytes, no wires and no conversions.
     same = "16 wires (as many), 64 conversions (as many)"
     assert others == [
@@ -256,7 +280,11 @@ def test_a_frame_takes_the_time_of_its_bits_on_each_bus(bus, n_bytes, seconds):
     [
         (read_bus, "seral:2M", "'seral:2M': bus is not known (did you mean 'serial'?)"),
         (read_bus, "serial:2Mbaud", "'2Mbaud': unit 'Mbaud' is not known"),
-        (read_bus, "can-fd:5M/1M", "'can-fd:5M/1M': data are slower than the arbitration"),
+        (
+            read_bus,
+            "can-fd:5M/1M",
+            "'can-fd:5M/1M': data are slower than the arbitration",
+        ),
         (read_adc, "10bit", "expected bits and samples a second, as 10bit@200kS/s"),
         (read_adc, "10bit@200k", "unit 'k' is not known; allowed: S/s, kS/s, MS/s"),
         (read_edge, "cortex-m5@1MHz", "did you mean 'cortex-m4'?"),
@@ -294,7 +322,9 @@ def test_texts_are_read_with_spaces_and_units(found, expected):
 def test_instructions_are_those_counted(n_rows, n_cols, ratio, bits, rows, counted):
     """Counted by `make cortex-m4` of exported edges, the largest number."""
     d = EdgeDescription.chosen(n_rows, n_cols, ratio=ratio, bits=bits, rows=rows)
-    assert instructions(d.n_taxels, d.m, d.frame_bytes) == pytest.approx(counted, rel=0.05)
+    assert instructions(d.n_taxels, d.m, d.frame_bytes) == pytest.approx(
+        counted, rel=0.05
+    )
 
 
 def test_rigs_that_were_built_are_predicted():
@@ -391,5 +421,7 @@ def test_larger_taxels_are_read_as_an_array_of_m_and_sums_are_rounded_to_the_bit
     mask = np.ones((16, 32), np.bool_)
     read = larger_raster(mask, 8, 128)
     taxels = np.random.default_rng(0).uniform(0, F_MAX_N, mask.shape).astype(np.float32)
-    tiles = [image.reshape(8, 2, 16, 2).sum(axis=(1, 3)) for image in (read(taxels), taxels)]
+    tiles = [
+        image.reshape(8, 2, 16, 2).sum(axis=(1, 3)) for image in (read(taxels), taxels)
+    ]
     assert np.abs(tiles[0] - tiles[1]).max() <= 4 * F_MAX_N / 255 / 2 * 1.001

@@ -17,7 +17,12 @@ from sparseskin.plugins.design.models import Bus
 from sparseskin.plugins.design.spec import make_design, read_file
 from sparseskin.plugins.design.strategies import STRATEGIES
 from sparseskin.plugins.wiring import study as wiring
-from sparseskin.plugins.wiring.study import array_wiring, count_crossings, sbhe_wiring, star_wiring
+from sparseskin.plugins.wiring.study import (
+    array_wiring,
+    count_crossings,
+    sbhe_wiring,
+    star_wiring,
+)
 
 PAD = ["design", "--n-rows", "8", "--n-cols", "8"]
 
@@ -39,7 +44,9 @@ def test_it_prints_the_accuracy(capsys, monkeypatch):
     out, error = capsys.readouterr()
     assert re.search(r"^all taxels .* \d\d\.\d +\d\d\.\.\d\d ", out, re.MULTILINE)
     assert max(map(len, out.splitlines())) <= 100
-    assert error == "8 x 8 taxels, 10 ways to read them in 2 simulated scenes each ...\n"
+    assert (
+        error == "8 x 8 taxels, 10 ways to read them in 2 simulated scenes each ...\n"
+    )
 
 
 def test_options_replace_what_a_file_states_and_a_table_is_written(tmp_path, capsys):
@@ -54,7 +61,10 @@ def test_options_replace_what_a_file_states_and_a_table_is_written(tmp_path, cap
     assert "asked 20 Hz" in out
     with table.open() as file:
         written = list(csv.DictReader(file))
-    assert [row["strategy"] for row in written][::7] == ["all taxels", "N/4 adaptive sums"]
+    assert [row["strategy"] for row in written][::7] == [
+        "all taxels",
+        "N/4 adaptive sums",
+    ]
     # 64 bytes are 8 CAN frames of 135 bits.
     assert written[0]["bytes"] == "64"
     assert float(written[0]["bus_s"]) == pytest.approx(8 * 135e-6)
@@ -63,15 +73,23 @@ def test_options_replace_what_a_file_states_and_a_table_is_written(tmp_path, cap
 @pytest.mark.parametrize(
     ("words", "line"),
     [
-        (["design"], "--n-rows: is missing; state n_rows and n_cols, taxels, or points"),
+        (
+            ["design"],
+            "--n-rows: is missing; state n_rows and n_cols, taxels, or points",
+        ),
         (["design", "none.toml"], "none.toml: No such file or directory"),
         (["design", "none.bin"], "none.bin: no TOML: "),
         (["design", "half.toml"], "half.toml: no TOML: "),
-        (["design", "bad.toml"], "bad.toml: 'colls': unknown key (did you mean 'n_cols'?)"),
+        (
+            ["design", "bad.toml"],
+            "bad.toml: 'colls': unknown key (did you mean 'n_cols'?)",
+        ),
         ([*PAD, "--csv", "bad.toml"], "bad.toml: exists already"),
     ],
 )
-def test_bad_options_are_refused_in_one_line(words, line, tmp_path, monkeypatch, capsys):
+def test_bad_options_are_refused_in_one_line(
+    words, line, tmp_path, monkeypatch, capsys
+):
     monkeypatch.chdir(tmp_path)
     Path("bad.toml").write_text("n_rows = 8\ncolls = 8\n")
     Path("half.toml").write_text("n_rows = ")
@@ -90,14 +108,22 @@ def test_all_faults_of_a_file_are_reported_and_name_it(tmp_path, capsys):
     assert len(lines) == 5
     for key in ("'a\\nb'", "n_rows", "n_cols", "sums"):
         assert sum(line.startswith(f"{path}: {key}: ") for line in lines) == 1
-    assert sum(line.startswith("--edge: 'arm': expected cortex-m4@168MHz") for line in lines) == 1
+    assert (
+        sum(
+            line.startswith("--edge: 'arm': expected cortex-m4@168MHz")
+            for line in lines
+        )
+        == 1
+    )
 
 
 SIZE = {"n_rows": 12, "n_cols": 32}
 
 
 def test_a_design_has_defaults_and_units():
-    d = make_design({**SIZE, "pitch": "0.3cm", "noise": "20mN", "rate": "1kHz", "bus": "can-fd"})
+    d = make_design(
+        {**SIZE, "pitch": "0.3cm", "noise": "20mN", "rate": "1kHz", "bus": "can-fd"}
+    )
     assert d.n_rows == 12
     assert d.n_cols == 32
     assert d.n_taxels == 384
@@ -112,7 +138,13 @@ def test_a_design_has_defaults_and_units():
     assert d.sums == "digital"
     # Numbers of a file are those of options.
     numbers = {**SIZE, "rate": 500, "host": 2, "bits": 6}
-    texts = {"n_rows": "12", "n_cols": " 32", "rate": "500 Hz", "host": "2 cores", "bits": "6 "}
+    texts = {
+        "n_rows": "12",
+        "n_cols": " 32",
+        "rate": "500 Hz",
+        "host": "2 cores",
+        "bits": "6 ",
+    }
     assert make_design(numbers) == make_design(texts)
 
 
@@ -122,10 +154,19 @@ def test_a_design_has_defaults_and_units():
         ({"n_rows": 12}, "n_cols: is missing; state n_rows and n_cols"),
         ({**SIZE, "taxels": 99}, "taxels: states the size once more; leave out n_rows"),
         ({"n_rows": 1, "n_cols": 2}, "n_rows: 1 x 2 are 2 taxels; allowed: 16..65536"),
-        ({**SIZE, "noise": "1N"}, "noise: 1 N is not allowed for a range of 2.5 N; allowed: 0.000"),
+        (
+            {**SIZE, "noise": "1N"},
+            "noise: 1 N is not allowed for a range of 2.5 N; allowed: 0.000",
+        ),
         ({**SIZE, "rate": "0"}, "rate: '0': is outside 1 .. 10000"),
-        ({**SIZE, "host": "4 core s"}, "host: '4 core s': expected such as 4cores, 1..4096"),
-        ({**SIZE, "sums": "analogue"}, "sums: 'analogue' is not allowed (did you mean 'analog'?)"),
+        (
+            {**SIZE, "host": "4 core s"},
+            "host: '4 core s': expected such as 4cores, 1..4096",
+        ),
+        (
+            {**SIZE, "sums": "analogue"},
+            "sums: 'analogue' is not allowed (did you mean 'analog'?)",
+        ),
         ({"points": "few.csv"}, "points: few.csv: 2 points; allowed: 16..65536"),
     ],
 )
@@ -137,7 +178,9 @@ def test_a_wrong_key_is_refused_in_one_line(keys, line, tmp_path, monkeypatch):
 
 def test_points_stand_beside_the_file_that_names_them(tmp_path):
     lines = [f"{x},{y},0,0,0,1" for x in range(0, 25, 5) for y in range(0, 25, 5)]
-    (tmp_path / "pad.csv").write_text("\n".join(["x_mm,y_mm,z_mm,nx,ny,nz", *lines, ""]))
+    (tmp_path / "pad.csv").write_text(
+        "\n".join(["x_mm,y_mm,z_mm,nx,ny,nz", *lines, ""])
+    )
     (tmp_path / "design.toml").write_text('points = "pad.csv"\n')
     d = make_design(read_file(tmp_path / "design.toml"))
     assert d.n_taxels == 25
@@ -166,7 +209,9 @@ def test_stars_and_arrays_are_as_their_formulas():
 def test_crossings_of_a_grid_of_lines_are_counted():
     k = np.arange(1.0, 5.0)
     begins = np.concatenate([np.stack([k, 0 * k], 1), np.stack([0 * k, k + 0.5], 1)])
-    ends = np.concatenate([np.stack([k, 0 * k + 9], 1), np.stack([0 * k + 9, k + 0.5], 1)])
+    ends = np.concatenate(
+        [np.stack([k, 0 * k + 9], 1), np.stack([0 * k + 9, k + 0.5], 1)]
+    )
     each_its_own = np.arange(8)
     assert count_crossings(begins, ends, each_its_own) == 16
     assert count_crossings(begins, ends, np.repeat([0, 1], 4)) == 16

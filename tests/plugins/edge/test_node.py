@@ -17,13 +17,24 @@ from edges import as_input, compiled, random_counts
 from hypothesis import given
 from hypothesis import strategies as st
 
-from sparseskin.messages import Measurements, PhiState, Reconstruction, SkinState, decode
+from sparseskin.messages import (
+    Measurements,
+    PhiState,
+    Reconstruction,
+    SkinState,
+    decode,
+)
 from sparseskin.nodes.clock import ManualClock
 from sparseskin.nodes.compressor.quantiser import quantised
 from sparseskin.nodes.errors import SparseskinError
 from sparseskin.nodes.node import Context, Tick
 from sparseskin.nodes.recorder.bag.reader import BagReader
-from sparseskin.plugins.edge.description import EdgeDescription, compressed, read_frame, stated
+from sparseskin.plugins.edge.description import (
+    EdgeDescription,
+    compressed,
+    read_frame,
+    stated,
+)
 from sparseskin.plugins.edge.node import Edge
 
 pytest.importorskip("serial", reason="pyserial is not installed")
@@ -54,14 +65,18 @@ def opened(lines=None, **settings):
 
 def received(node, n):
     found = []
-    wait_until(lambda: len(found) >= n or bool(found.extend(node.tick(Tick(0, 0)))), "frames")
+    wait_until(
+        lambda: len(found) >= n or bool(found.extend(node.tick(Tick(0, 0)))), "frames"
+    )
     assert all(isinstance(message, Measurements) for message in found)
     return found
 
 
 @pytest.mark.parametrize(("f_max", "unit"), [(None, None), (2.5, "N")])
 def test_it_publishes_skin_phi_and_codes_times_a_step(f_max, unit, described, line):
-    node = opened(source=f"serial:{line.device}", description=described, f_max=f_max, unit=unit)
+    node = opened(
+        source=f"serial:{line.device}", description=described, f_max=f_max, unit=unit
+    )
     skin, phi = node.start()
     stated = (skin.skin.shape, skin.f_max, skin.unit, skin.has_taxels)
     assert stated == ((6, 8), f_max or 4095, unit or "counts", False)
@@ -86,12 +101,22 @@ def test_lost_damaged_and_foreign_bytes_cost_themselves_alone(described, line):
     lines = []
     node = opened(lines, source=f"serial:{line.device}", description=described)
     damaged = FRAMES[3][:20] + b"\x00\x01" + FRAMES[3][22:]
-    parts = [FRAMES[0][5:], b"\xaa", FRAMES[1], FRAMES[2][:7], damaged, b"\xaa\xaa\x55", FRAMES[5]]
+    parts = [
+        FRAMES[0][5:],
+        b"\xaa",
+        FRAMES[1],
+        FRAMES[2][:7],
+        damaged,
+        b"\xaa\xaa\x55",
+        FRAMES[5],
+    ]
     thread = line.sending([*parts, OTHER[6], FRAMES[7]])
     messages = received(node, 3)
     thread.join()
     node.close({})
-    assert [m.phi for m in messages] == [D.subsets[k % 4].fingerprint for k in (1, 5, 7)]
+    assert [m.phi for m in messages] == [
+        D.subsets[k % 4].fingerprint for k in (1, 5, 7)
+    ]
     report = node.report()["board"]
     assert report["frames"] == 3
     assert report["missing_frames"] == 3
@@ -133,7 +158,10 @@ def test_packets_are_whole_frames_or_counted(described):
     ("settings", "line"),
     [
         ({"source": "seral:/dev/x"}, "(did you mean 'serial'?)"),
-        ({"source": "serial:/dev/x?boud=9600"}, "boud: unknown key (did you mean 'baud'?)"),
+        (
+            {"source": "serial:/dev/x?boud=9600"},
+            "boud: unknown key (did you mean 'baud'?)",
+        ),
         ({"source": "udp:70000"}, "is no port"),
         ({"source": "udp:0050051111"}, "is no port"),
         ({"description": "none.toml"}, "description: none.toml: cannot be read"),
@@ -142,7 +170,9 @@ def test_packets_are_whole_frames_or_counted(described):
 )
 def test_settings_are_refused_by_name(settings, line, described):
     assert line in refusal(
-        lambda: Edge.Settings(**{"source": "udp:5", "description": described, **settings}).check(),
+        lambda: Edge.Settings(
+            **{"source": "udp:5", "description": described, **settings}
+        ).check(),
         SparseskinError,
     )
 
@@ -204,8 +234,12 @@ def test_its_frames_are_recorded_with_their_bits_and_reconstructed(start, tmp_pa
     in_c = recorded(recording, Measurements)
     restored = recorded(recording, Reconstruction)
     # What came before the line was opened is not read: the frames begin somewhere in the cycle.
-    cycle = [read_frame(d, sent[4:-2]) for sent in compressed(d, np.tile(counts, (3, 1, 1)))]
-    expected = [(f.phi, f.measurements(d.bits, 1.0).tobytes(), f.step) for f in cycle if f]
+    cycle = [
+        read_frame(d, sent[4:-2]) for sent in compressed(d, np.tile(counts, (3, 1, 1)))
+    ]
+    expected = [
+        (f.phi, f.measurements(d.bits, 1.0).tobytes(), f.step) for f in cycle if f
+    ]
     found = [(m.phi, m.y.tobytes(), m.y.step) for m in in_c]
     begin = expected.index(found[0])
     assert found == expected[begin : begin + N_FRAMES]

@@ -42,7 +42,9 @@ def test_the_forces_of_a_ball_at_rest_are_those_of_its_depth():
     found = np.linalg.lstsq(a, (some**2).sum(axis=1) - away**2, rcond=None)[0][:3]
     assert np.abs(np.linalg.norm(some - found, axis=1) - away).max() < 1e-4
     push = (forces[touched, None] * (found - some) / away[:, None]).sum(axis=0)
-    assert np.linalg.norm(push) == pytest.approx(SCENES["ball_presses"].push_n, rel=0.05)
+    assert np.linalg.norm(push) == pytest.approx(
+        SCENES["ball_presses"].push_n, rel=0.05
+    )
 
 
 @pytest.mark.parametrize("name", SCENES)
@@ -63,7 +65,9 @@ class Run:
         self.log = []
         self.settings = Sensor.Settings(**values)
         self.settings.check()
-        self.sensor = Sensor(self.settings, Context("s", ManualClock(), log=self.log.append))
+        self.sensor = Sensor(
+            self.settings, Context("s", ManualClock(), log=self.log.append)
+        )
         (self.state,) = (m for m in self.sensor.start() if isinstance(m, SkinState))
 
     def frame(self):
@@ -73,8 +77,12 @@ class Run:
 @pytest.fixture
 def folder(tmp_path, monkeypatch):
     """Six taxels of 2 x 3, in the order of their file, and a recording of their readings."""
-    (tmp_path / "six.csv").write_text("x_mm,y_mm,z_mm\n4,0,0\n0,4,0\n8,0,0\n0,0,0\n8,4,0\n4,4,0\n")
-    np.save(tmp_path / "six.npy", np.arange(1.0, 7.0).reshape(1, 1, 6).repeat(5, axis=0))
+    (tmp_path / "six.csv").write_text(
+        "x_mm,y_mm,z_mm\n4,0,0\n0,4,0\n8,0,0\n0,0,0\n8,4,0\n4,4,0\n"
+    )
+    np.save(
+        tmp_path / "six.npy", np.arange(1.0, 7.0).reshape(1, 1, 6).repeat(5, axis=0)
+    )
     (tmp_path / "six.toml").write_text(
         'points = "six.csv"\nf_max = 10.0\ngains = [1, 2, 1, 1, 1, 1]\n'
     )
@@ -111,7 +119,10 @@ def test_a_skin_file_with_points_is_calibrated_in_their_order(folder):
     for line, what in (
         ('points = "six.csv"\nn_rows = 2', "n_rows: is stated beside points"),
         ("points = 3", "points: expected the name of a file"),
-        ('points = "six.csv"\nbaseline = [1, 2]', "baseline: six: a frame has 2 readings"),
+        (
+            'points = "six.csv"\nbaseline = [1, 2]',
+            "baseline: six: a frame has 2 readings",
+        ),
     ):
         (folder / "bad.toml").write_text(f"f_max = 1.0\n{line}")
         with pytest.raises(SkinFileError, match=f"bad.toml: {what}"):
@@ -121,9 +132,15 @@ def test_a_skin_file_with_points_is_calibrated_in_their_order(folder):
 @pytest.mark.parametrize(
     ("values", "what"),
     [
-        ({"source": "scene:path_40"}, "scene path_40 presses a flat grid; allowed on points: fin"),
+        (
+            {"source": "scene:path_40"},
+            "scene path_40 presses a flat grid; allowed on points: fin",
+        ),
         ({"source": "scene:finger_pat"}, "no scene on points is called 'finger_pat'"),
-        ({"points": "", "source": "scene:limb_path"}, "limb_path presses a skin of points; state"),
+        (
+            {"points": "", "source": "scene:limb_path"},
+            "limb_path presses a skin of points; state",
+        ),
         ({"points": "none.csv"}, "points: none.csv: no such file"),
         ({"skin": "six.toml"}, "points: the file of the skin has its own"),
         (
@@ -146,18 +163,33 @@ POINTS = "sensor.points=example:grip"
 def test_a_skin_of_points_is_recorded_exported_and_reprocessed(start, tmp_path):
     bag = tmp_path / "run.mcap"
     options = ["--frames", "30", "--record", str(bag)]
-    for setting in (POINTS, "sensor.rate_hz=0", "reconstructor.fast=off", "monitor.page=false"):
+    for setting in (
+        POINTS,
+        "sensor.rate_hz=0",
+        "reconstructor.fast=off",
+        "monitor.page=false",
+    ):
         options += ["--set", setting]
     out, _ = start("launch", "torso", *options).ended()
     assert "N = 924, M = 308" in out
     with BagReader(bag) as reader:
-        (state,) = (decode(m.topic.encode(), m.payload) for m in reader.messages(["/skin/skin"]))
+        (state,) = (
+            decode(m.topic.encode(), m.payload) for m in reader.messages(["/skin/skin"])
+        )
     assert state.points is not None
     exported = tmp_path / "run.npz"
     again = tmp_path / "again.mcap"
-    assert main(["recording", "export", str(bag), "--to", "npz", "--out", str(exported)]) == 0
+    assert (
+        main(["recording", "export", str(bag), "--to", "npz", "--out", str(exported)])
+        == 0
+    )
     assert np.array_equal(open_file(str(exported)).skin.points, state.points)
-    assert main(["reprocess", str(bag), "--out", str(again), "--set", "compressor.ratio=4"]) == 0
+    assert (
+        main(
+            ["reprocess", str(bag), "--out", str(again), "--set", "compressor.ratio=4"]
+        )
+        == 0
+    )
     with BagReader(again) as reader:
         assert len(list(reader.messages(["/skin/reconstruction"]))) == 30
 
@@ -192,7 +224,9 @@ def test_patches_of_points_are_a_batch_of_their_own(tmp_path, monkeypatch):
     Path("body.toml").write_text(BODY)
     launch = load("body", ["skin.body=body.toml"])
     found = (node.settings for node in launch.nodes.values())
-    (sensor,) = (one for one in found if "points" in (getattr(one, "simulated", None) or {}))
+    (sensor,) = (
+        one for one in found if "points" in (getattr(one, "simulated", None) or {})
+    )
     assert sensor.patches == ("sole",)
     assert sensor.address().n_taxels() == 924
     Path("body.toml").write_text(BODY.replace("example:grip", "a.csv"))

@@ -6,7 +6,13 @@ import numpy as np
 import pytest
 
 from sparseskin.launch.commands.cli import main
-from sparseskin.messages import Labels, Measurements, MessageError, PhiState, Reconstruction
+from sparseskin.messages import (
+    Labels,
+    Measurements,
+    MessageError,
+    PhiState,
+    Reconstruction,
+)
 from sparseskin.nodes.clock import ManualClock
 from sparseskin.nodes.errors import RefusedError, SettingsError, SparseskinError
 from sparseskin.nodes.node import Context
@@ -59,7 +65,12 @@ def node(model="my_models:Halves", **settings):
 
 
 def frame(forces, stamp_ns=1, **others):
-    fields = {"iterations": (1,), "residual": (0.0,), "solve_ns": (1,), "done_ns": stamp_ns}
+    fields = {
+        "iterations": (1,),
+        "residual": (0.0,),
+        "solve_ns": (1,),
+        "done_ns": stamp_ns,
+    }
     forces = np.asarray(forces, np.float32).reshape(SHAPE)
     return Reconstruction(
         stamp_ns=stamp_ns, patch="skin", forces=forces, phi=PHI, **fields | others
@@ -80,7 +91,11 @@ def test_a_frame_gets_the_label_with_the_largest_share_and_its_age():
     below = [0, 0, 1, 3, 1, 0]
     stamps = (10**9, 2 * 10**9, 4 * 10**9, 5 * 10**9)
     found = labels_of(
-        one, *(frame(f, t) for f, t in zip((above, above, below, below), stamps, strict=True))
+        one,
+        *(
+            frame(f, t)
+            for f, t in zip((above, above, below, below), stamps, strict=True)
+        ),
     )
     assert [each.label for each in found] == ["above", "above", "below", "below"]
     assert [each.share for each in found] == pytest.approx([0.75, 0.75, 0.8, 0.8])
@@ -110,14 +125,19 @@ def test_a_label_of_a_frame_that_is_not_trusted_states_that():
 
 def test_what_the_model_is_not_of_is_refused_and_the_next_frame_labelled():
     one = node()
-    wide = Reconstruction(**{**vars(frame([1] * 6)), "forces": np.ones((1, 3, 3), np.float32)})
+    wide = Reconstruction(
+        **{**vars(frame([1] * 6)), "forces": np.ones((1, 3, 3), np.float32)}
+    )
     with pytest.raises(RefusedError, match="9 numbers, but the model was trained on 6"):
         list(one.step(wide))
     several = frame([1] * 6)
     several = Reconstruction(
         **{
             **vars(several),
-            **{name: getattr(several, name) * 2 for name in ("iterations", "residual", "solve_ns")},
+            **{
+                name: getattr(several, name) * 2
+                for name in ("iterations", "residual", "solve_ns")
+            },
             "names": ("left", "right"),
             "forces": np.ones((2, *SHAPE), np.float32),
             **dict.fromkeys(("error", "trusted", "unchanged", "reason"), ()),
@@ -140,11 +160,23 @@ def test_a_model_that_fails_is_named_and_ends_nothing(model, text):
 def test_measurements_of_rows_that_rotate_are_refused_with_what_to_set():
     one = node(reads="measurements")
     assert one.inputs(one.settings) == ("/skin/phi", "/skin/measurements")
-    phi = {"stamp_ns": 1, "patch": "skin", "kind": "sbhe", "n": 6, "m": 6, "block": 2, "seed": 0}
+    phi = {
+        "stamp_ns": 1,
+        "patch": "skin",
+        "kind": "sbhe",
+        "n": 6,
+        "m": 6,
+        "block": 2,
+        "seed": 0,
+    }
     list(one.step(PhiState(**phi, fingerprint=PHI)))
-    y = Measurements(stamp_ns=2, patch="skin", y=np.array([1, 0, 0, 0, 0, 0], np.float32), phi=PHI)
+    y = Measurements(
+        stamp_ns=2, patch="skin", y=np.array([1, 0, 0, 0, 0, 0], np.float32), phi=PHI
+    )
     assert labels_of(one, y)[0].label == "above"
-    with pytest.raises(SettingsError, match='set its rows = "fixed", or reads = "reconstruction"'):
+    with pytest.raises(
+        SettingsError, match='set its rows = "fixed", or reads = "reconstruction"'
+    ):
         list(one.step(PhiState(**phi, fingerprint=PHI, rows="rotating")))
 
 
@@ -174,7 +206,12 @@ def test_a_model_that_cannot_be_had_gets_one_line(model, text, tmp_path):
 
 def test_a_label_has_bounds():
     head = {"stamp_ns": 1, "patch": "skin", "age_s": 0.0, "done_ns": 1}
-    for wrong in ({"share": 1.5}, {"share": float("nan")}, {"label": "a\nb"}, {"age_s": -1.0}):
+    for wrong in (
+        {"share": 1.5},
+        {"share": float("nan")},
+        {"label": "a\nb"},
+        {"age_s": -1.0},
+    ):
         with pytest.raises(MessageError):
             Labels(**{"label": "a", "share": 0.5, **head, **wrong})
 
@@ -193,10 +230,18 @@ def written(folder, name, above):
     frames = np.zeros((60, 6, 4), np.float32)
     half = slice(0, 3) if above else slice(3, 6)
     frames[20:, half] = rng.uniform(0.5, 1.0, (40, 3, 4))
-    np.savez(folder / f"{name}.npz", forces=frames, f_max=2.5, rate_hz=10.0, unit=np.array("N"))
+    np.savez(
+        folder / f"{name}.npz",
+        forces=frames,
+        f_max=2.5,
+        rate_hz=10.0,
+        unit=np.array("N"),
+    )
 
 
-def test_a_model_is_trained_from_recordings_and_labels_and_used_by_the_node(tmp_path, capsys):
+def test_a_model_is_trained_from_recordings_and_labels_and_used_by_the_node(
+    tmp_path, capsys
+):
     pytest.importorskip("sklearn")
     written(tmp_path, "up", True)
     written(tmp_path, "down", False)
@@ -228,7 +273,10 @@ def test_a_model_is_trained_from_recordings_and_labels_and_used_by_the_node(tmp_
             "labels.csv:2: begin_s 3 is not in 0 .. end_s 2",
         ),
         ("recording,label\ndown,a\n", "up.npz: no row of the table of labels names it"),
-        ("recording,label\nup,a\ndown,b\n", "labels of 'down': no such recording is stated"),
+        (
+            "recording,label\nup,a\ndown,b\n",
+            "labels of 'down': no such recording is stated",
+        ),
         ("recording,label\nup,a\n", "examples of 1 labels"),
     ],
 )
@@ -236,7 +284,9 @@ def test_labels_that_are_wrong_get_one_line(table, text, tmp_path, capsys):
     pytest.importorskip("sklearn")
     written(tmp_path, "up", True)
     (tmp_path / "labels.csv").write_text(table)
-    assert text in line_of(["tasks", "train", "up.npz", "--labels", "labels.csv"], capsys)
+    assert text in line_of(
+        ["tasks", "train", "up.npz", "--labels", "labels.csv"], capsys
+    )
 
 
 def test_spans_of_one_recording_have_labels_of_their_own(tmp_path, capsys):

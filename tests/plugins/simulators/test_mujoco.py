@@ -33,7 +33,9 @@ def direct(request, monkeypatch):
     """Check models in this process, without the start of another, unless a test is of that."""
     if "isolated" not in request.keywords:
         name = "sparseskin.plugins.simulators.model.shape_in_child"
-        monkeypatch.setattr(name, lambda address, n_bytes: MujocoSource(address).pad.shape)
+        monkeypatch.setattr(
+            name, lambda address, n_bytes: MujocoSource(address).pad.shape
+        )
 
 
 def model_of(bodies, folder, site='type="box" size="0.02 0.015 0.005"', more=""):
@@ -77,13 +79,18 @@ def test_a_ball_at_rest_is_read_as_deep_as_it_is(tmp_path, depth_m):
     [
         (2, -0.05, [0.05] * 8),
         (2, 0.5, [-0.5] * 8),
-        (4, 2.0, (np.arange(8) - 3.5) * SKIN.pitch_m * 2.0),  # about y: points of positive x
+        (
+            4,
+            2.0,
+            (np.arange(8) - 3.5) * SKIN.pitch_m * 2.0,
+        ),  # about y: points of positive x
     ],
 )
-def test_damping_acts_on_the_rate_of_penetration_of_each_point(tmp_path, of, speed, down):
-    slab_ = (
-        '<body pos="0 0 0.009"><freejoint/><geom type="box" size="0.1 0.1 0.01" mass="1"/></body>'
-    )
+def test_damping_acts_on_the_rate_of_penetration_of_each_point(
+    tmp_path, of, speed, down
+):
+    geom = '<geom type="box" size="0.1 0.1 0.01" mass="1"/>'
+    slab_ = f'<body pos="0 0 0.009"><freejoint/>{geom}</body>'
 
     def move(data):
         data.qvel[of] = speed
@@ -200,8 +207,12 @@ def test_a_control_of_your_own_drives_the_model():
 
 def test_a_simulation_that_diverges_is_reported(tmp_path):
     stiff = '<custom><numeric name="pad_stiffness" data="1e9"/></custom>'
-    address = model_of(BALL.format(z=0.006).replace("0.1", "0.001"), tmp_path, more=stiff)
-    with pytest.raises(SourceError, match=r"diverges at 0\.[0-9]+ s; allowed: a smaller time step"):
+    address = model_of(
+        BALL.format(z=0.006).replace("0.1", "0.001"), tmp_path, more=stiff
+    )
+    with pytest.raises(
+        SourceError, match=r"diverges at 0\.[0-9]+ s; allowed: a smaller time step"
+    ):
         list(islice(MujocoSource(address), 3000))
 
 
@@ -209,7 +220,12 @@ def test_a_simulation_that_diverges_is_reported(tmp_path):
     ("bodies", "site", "more", "text"),
     [
         ("", "", "", "site 'pad' is no box"),
-        ("", 'type="box" size="0.02 0.013 0.005"', "", "has 5.20 taxels of 5 mm along y; allowed"),
+        (
+            "",
+            'type="box" size="0.02 0.013 0.005"',
+            "",
+            "has 5.20 taxels of 5 mm along y; allowed",
+        ),
         ("", 'type="box" size="0.02 0.015 0.005"', "", "no geom can touch site 'pad'"),
         (
             BALL.format(z=1),
@@ -219,18 +235,28 @@ def test_a_simulation_that_diverges_is_reported(tmp_path):
         ),
     ],
 )
-def test_a_model_without_a_skin_is_refused(tmp_path, monkeypatch, bodies, site, more, text):
+def test_a_model_without_a_skin_is_refused(
+    tmp_path, monkeypatch, bodies, site, more, text
+):
     monkeypatch.chdir(tmp_path)
     address = model_of(bodies, tmp_path, site, more)
-    assert text in refusal(lambda: find_address(f"mujoco:{address}").check(), SourceError)
-    assert [path.name for path in tmp_path.iterdir()] == ["model.xml"]  # no log of MuJoCo
+    assert text in refusal(
+        lambda: find_address(f"mujoco:{address}").check(), SourceError
+    )
+    assert [path.name for path in tmp_path.iterdir()] == [
+        "model.xml"
+    ]  # no log of MuJoCo
 
 
 @pytest.mark.parametrize("step_s", ["1e-12", "1000"])
 def test_a_time_step_that_never_ends_or_skips_all_is_refused(tmp_path, step_s):
     path = Path(model_of(BALL.format(z=1), tmp_path).partition("#")[0])
-    path.write_text(path.read_text().replace('timestep="0.001"', f'timestep="{step_s}"'))
-    with pytest.raises(SourceError, match=rf"a time step of {step_s} s; allowed: 1e-06\.\.0\.1 s"):
+    path.write_text(
+        path.read_text().replace('timestep="0.001"', f'timestep="{step_s}"')
+    )
+    with pytest.raises(
+        SourceError, match=rf"a time step of {step_s} s; allowed: 1e-06\.\.0\.1 s"
+    ):
         load_model(str(path))
 
 
@@ -240,25 +266,37 @@ def test_a_time_step_that_never_ends_or_skips_all_is_refused(tmp_path, step_s):
         ("pad.xml", {}, "expected mujoco:MODEL.xml#SITE"),
         (PAD.replace("#pad", "#pat"), {}, "has no site 'pat' (did you mean 'pad'?)"),
         (f"{__file__}#pad", {}, "expected a MuJoCo model, .xml or .mjb"),
-        (PAD, {"layout": Layout(n_rows=16)}, "n_rows = 16 is stated, but the frames have 32"),
+        (
+            PAD,
+            {"layout": Layout(n_rows=16)},
+            "n_rows = 16 is stated, but the frames have 32",
+        ),
     ],
 )
 def test_a_bad_address_is_refused_in_one_line(source, stated, text):
-    assert text in refusal(lambda: find_address(f"mujoco:{source}", **stated).check(), SourceError)
+    assert text in refusal(
+        lambda: find_address(f"mujoco:{source}", **stated).check(), SourceError
+    )
 
 
 @pytest.mark.isolated
-def test_a_model_is_checked_in_a_process_whose_time_and_memory_are_bounded(tmp_path, monkeypatch):
+def test_a_model_is_checked_in_a_process_whose_time_and_memory_are_bounded(
+    tmp_path, monkeypatch
+):
     text = (MODELS / "pad.xml").read_text()
     (tmp_path / "pad.xml").write_text(text)
     assert check_model(f"{tmp_path / 'pad.xml'}#pad", None, None) == 1024
     huge = tmp_path / "huge.xml"
     huge.write_text(text.replace("<worldbody>", '<size memory="4000G"/><worldbody>'))
-    with pytest.raises(SourceError, match=r"huge\.xml: MuJoCo refuses it: .*allocate memory$"):
+    with pytest.raises(
+        SourceError, match=r"huge\.xml: MuJoCo refuses it: .*allocate memory$"
+    ):
         check_model(f"{huge}#pad", None, None)
     many = '<worldbody><replicate count="1000000000"><body><geom size="1"/></body></replicate>'
     endless = tmp_path / "endless.xml"
     endless.write_text(text.replace("<worldbody>", many))
     monkeypatch.setattr(f"{ISOLATED}.START_S", 1.0)
-    with pytest.raises(SourceError, match=r"endless\.xml#pad: not read within 1 s; a damaged or"):
+    with pytest.raises(
+        SourceError, match=r"endless\.xml#pad: not read within 1 s; a damaged or"
+    ):
         check_model(f"{endless}#pad", None, None)

@@ -52,16 +52,22 @@ def test_a_drawn_array_whose_axes_are_stated_is_read_as_it_was_written(
     tmp_path, array, data, is_matlab
 ):
     stored = array.stored.transpose() if is_matlab else array.stored
-    chunks = data.draw(st.none() | st.tuples(*(st.integers(1, side) for side in stored.shape)))
+    chunks = data.draw(
+        st.none() | st.tuples(*(st.integers(1, side) for side in stored.shape))
+    )
 
     def write(file):
         packing = data.draw(st.sampled_from([None, "gzip", "lzf"])) if chunks else None
         file.create_dataset("run/pad", data=stored, chunks=chunks, compression=packing)
         if array.time_name:
-            file[f"run/{array.time_name}"] = array.times[None] if is_matlab else array.times
+            file[f"run/{array.time_name}"] = (
+                array.times[None] if is_matlab else array.times
+            )
 
     name = "a.mat" if is_matlab else "a.hdf5"
-    check(read(tmp_path, written(write), name, **array.axes_stated), array, has_times=True)
+    check(
+        read(tmp_path, written(write), name, **array.axes_stated), array, has_times=True
+    )
 
 
 @CASES
@@ -101,7 +107,11 @@ def test_the_frames_are_found(tmp_path, content, stated):
 def test_times_are_those_of_the_nearest_group(tmp_path):
     raw = written(
         lambda file: put(
-            file, left__pad=FRAMES, left__time=TIMES, right__pad=FRAMES, right__time=TIMES + 2
+            file,
+            left__pad=FRAMES,
+            left__time=TIMES,
+            right__pad=FRAMES,
+            right__time=TIMES + 2,
         )
     )
     for topic in ("left/pad", "right/pad"):
@@ -174,12 +184,25 @@ def test_texts_of_a_mat_are_no_numbers(tmp_path):
 @pytest.mark.parametrize(
     ("raw", "message"),
     [
-        (written(lambda file: put(file, a=np.zeros((5, 3, 4), complex))), "dtype complex128"),
-        (written(lambda file: put(file, a=FRAMES))[:900], "cannot be read"),
-        (written(lambda file: put(file, a=FRAMES, b=FRAMES)), "a .5 x 2 x 4., b .*; state topic"),
-        (written(lambda file: put(file, a=h5py.Empty("f4"))), "holds no arrays of frames"),
         (
-            written(lambda file: file.create_dataset("a", (1 << 30, 16, 16), "f4", chunks=True)),
+            written(lambda file: put(file, a=np.zeros((5, 3, 4), complex))),
+            "dtype complex128",
+        ),
+        (written(lambda file: put(file, a=FRAMES))[:900], "cannot be read"),
+        (
+            written(lambda file: put(file, a=FRAMES, b=FRAMES)),
+            "a .5 x 2 x 4., b .*; state topic",
+        ),
+        (
+            written(lambda file: put(file, a=h5py.Empty("f4"))),
+            "holds no arrays of frames",
+        ),
+        (
+            written(
+                lambda file: file.create_dataset(
+                    "a", (1 << 30, 16, 16), "f4", chunks=True
+                )
+            ),
             "array 'a': 1099511627776 bytes; at most",
         ),
     ],
@@ -191,7 +214,9 @@ def test_what_holds_no_frames_is_refused(tmp_path, raw, message):
 def test_chunks_that_need_too_much_memory_are_refused(tmp_path, monkeypatch):
     monkeypatch.setattr(hdf5, "MAX_CHUNK_BYTES", 1 << 10)
     frames = np.ones((512, 2, 2), "u1")
-    raw = written(lambda file: file.create_dataset("a", data=frames, chunks=(512, 1, 1)))
+    raw = written(
+        lambda file: file.create_dataset("a", data=frames, chunks=(512, 1, 1))
+    )
     with pytest.raises(
         SourceError,
         match="array 'a': chunks of 512 entries of axis 1 need 2048 bytes; at most 1024",

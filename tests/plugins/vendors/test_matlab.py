@@ -60,7 +60,9 @@ def saved(array, packed, in_struct):
 def test_a_drawn_array_whose_axes_are_stated_is_read_as_it_was_written(
     tmp_path, array, packed, in_struct
 ):
-    source = read(tmp_path, saved(array, packed, in_struct), **array.axes_stated, rate_hz=None)
+    source = read(
+        tmp_path, saved(array, packed, in_struct), **array.axes_stated, rate_hz=None
+    )
     if array.time_name or not in_struct:
         check(source, array, has_times=True)
     else:
@@ -88,14 +90,33 @@ def test_without_its_axes_it_is_read_right_or_the_ways_are_named(
 @pytest.mark.parametrize(
     ("content", "stated"),
     [
-        ({"forces": LAST, "a": LAST, "text": "x", "cell": np.array([1, "a"], object)}, SHAPE),
+        (
+            {
+                "forces": LAST,
+                "a": LAST,
+                "text": "x",
+                "cell": np.array([1, "a"], object),
+            },
+            SHAPE,
+        ),
         ({"a": LAST, "b": LAST}, {"topic": "b", **SHAPE}),
         ({"log": {"rate": 9.0, "left": {"pad": LAST}}}, SHAPE),
-        ({"a": LAST + 1, "log": {"left": {"pad": LAST}}}, {"topic": "log.left.pad", **SHAPE}),
+        (
+            {"a": LAST + 1, "log": {"left": {"pad": LAST}}},
+            {"topic": "log.left.pad", **SHAPE},
+        ),
         ({"a": LAST + 1, "log": {"left": {"pad": LAST}}}, {"topic": "pad", **SHAPE}),
         ({"a": FRAMES}, SHAPE),
         ({"a": FRAMES.reshape(2, 12)}, SHAPE),
-        ({"a": LAST, "sparse": csc_matrix(np.eye(5)), "complex": LAST * 1j, "none": []}, SHAPE),
+        (
+            {
+                "a": LAST,
+                "sparse": csc_matrix(np.eye(5)),
+                "complex": LAST * 1j,
+                "none": [],
+            },
+            SHAPE,
+        ),
         ({"a": LAST, "many": np.array([(1,), (2,)], [("x", object)])}, SHAPE),
     ],
 )
@@ -132,7 +153,10 @@ def test_whole_float64_numbers_are_stored_as_bytes_in_either_order(tmp_path, ord
 @pytest.mark.parametrize(
     ("raw", "message"),
     [
-        (mat(a=LAST), "state axes=frames,rows,cols .3 frames. or .*axes=rows,cols,frames"),
+        (
+            mat(a=LAST),
+            "state axes=frames,rows,cols .3 frames. or .*axes=rows,cols,frames",
+        ),
         (mat(a=LAST, b=LAST), r"a .3 x 4 x 2., b .3 x 4 x 2.; state topic"),
         (mat(a="text"), "holds no arrays of frames"),
         (mat(a=LAST)[:180], "cannot be read: the file ends within an array"),
@@ -147,7 +171,10 @@ def test_what_holds_no_frames_is_refused(tmp_path, raw, message):
 def test_numbers_of_an_unknown_type_or_of_another_size_are_refused(tmp_path):
     raw = mat(False, forces=LAST.astype(float))
     at = raw.index(struct.pack("<II", 9, 8 * LAST.size))  # 9: of float64
-    for kind, n_bytes, what in ((200, 8 * LAST.size, "unknown type"), (7, 8 * LAST.size, "states")):
+    for kind, n_bytes, what in (
+        (200, 8 * LAST.size, "unknown type"),
+        (7, 8 * LAST.size, "states"),
+    ):
         damaged = raw[:at] + struct.pack("<II", kind, n_bytes) + raw[at + 8 :]
         with pytest.raises(SourceError, match=what):
             read(tmp_path, damaged, **SHAPE)

@@ -26,7 +26,9 @@ def recording(name: str) -> Path:
     """Return the path of a recording, or skip the test."""
     path = FOLDER / name
     if not path.is_file():
-        pytest.skip(f"{name} is not in the folder of recordings (SPARSESKIN_RECORDINGS)")
+        pytest.skip(
+            f"{name} is not in the folder of recordings (SPARSESKIN_RECORDINGS)"
+        )
     return path
 
 
@@ -82,10 +84,14 @@ class TestRealEmed:
                 of_columns = frames[frame][:, columns].sum(axis=0)
                 stated = [float(cell) for cell in cells[1:-1]]
                 np.testing.assert_allclose(of_columns, stated, rtol=0, atol=0.0051)
-                assert frames[frame].sum() == pytest.approx(float(cells[-1]), abs=0.0051)
+                assert frames[frame].sum() == pytest.approx(
+                    float(cells[-1]), abs=0.0051
+                )
             elif cells[0].isdigit():
                 row = int(cells[0]) - 1
-                assert frames[frame][row].sum() == pytest.approx(float(cells[-1]), abs=0.0051)
+                assert frames[frame][row].sum() == pytest.approx(
+                    float(cells[-1]), abs=0.0051
+                )
                 n_compared += 1
         assert frame == 105
         assert n_compared == 106 * 54
@@ -141,7 +147,11 @@ class TestEmed:
         assert source.rate_hz == 100.0
         assert stamps_of(source) == [0, 10_000_000]
         # Oblong sensors have no pitch; the square of their area is written either way.
-        text = emed_text().replace("0.500x0.500", "0.500x0.400").replace("cm\xb2", "cm\xc2\xb2")
+        text = (
+            emed_text()
+            .replace("0.500x0.500", "0.500x0.400")
+            .replace("cm\xb2", "cm\xc2\xb2")
+        )
         skin = opened("oblong.lst", text).skin
         assert skin.pitch_m is None
         assert skin.f_max == pytest.approx(2.5)
@@ -150,7 +160,9 @@ class TestEmed:
 class TestTekscan:
     def test_cells_marked_b_are_masked_and_not_readings(self, opened):
         source = opened("HAND.ASF", tekscan_text())
-        np.testing.assert_array_equal(source.skin.mask, [[False, True, True], [True, True, False]])
+        np.testing.assert_array_equal(
+            source.skin.mask, [[False, True, True], [True, True, False]]
+        )
         np.testing.assert_array_equal(
             frames_of(source),
             [[[0, 1, 2], [0, 3, 0]], [[0, 0, 5], [7, 0, 0]], [[0, 0, 0], [0, 9, 0]]],
@@ -167,13 +179,17 @@ class TestTekscan:
         [("0.05 inches", "0.127 CM", 0.00127), ("2.5 mm", "1.25 mm", None)],
     )
     def test_the_pitch_is_the_one_spacing(self, opened, rows, cols, pitch_m):
-        text = tekscan_text().replace("ROW_SPACING 0.127 centimeters", f"ROW_SPACING {rows}")
+        text = tekscan_text().replace(
+            "ROW_SPACING 0.127 centimeters", f"ROW_SPACING {rows}"
+        )
         text = text.replace("COL_SPACING 0.127 centimeters", f"COL_SPACING {cols}")
         found = opened("hand.csv", text).skin.pitch_m
         assert found == (None if pitch_m is None else pytest.approx(pitch_m))
 
     def test_calibrated_units_are_kept_and_their_raw_sum_is_not_compared(self, opened):
-        source = opened("hand.csv", tekscan_text(unit="kPa").replace("B,0,5", "B,0,5.5"))
+        source = opened(
+            "hand.csv", tekscan_text(unit="kPa").replace("B,0,5", "B,0,5.5")
+        )
         assert source.skin.unit == "kPa"
         assert frames_of(source)[1, 0, 2] == np.float32(5.5)
 
@@ -194,9 +210,14 @@ def test_a_recording_of_an_insole_has_the_left_foot_of_the_file():
 
 
 class TestXsensor:
-    def test_frames_of_the_first_sensor_whose_area_leaves_cells_never_pressed_masked(self, opened):
+    def test_frames_of_the_first_sensor_whose_area_leaves_cells_never_pressed_masked(
+        self, opened
+    ):
         source = opened("sole.csv", xsensor_text())
-        expected = [[[float(c) for c in row.split(",")] for row in rows] for rows in XSENSOR_FRAMES]
+        expected = [
+            [[float(c) for c in row.split(",")] for row in rows]
+            for rows in XSENSOR_FRAMES
+        ]
         assert np.array_equal(source.frames, np.array(expected, dtype=np.float32))
         assert source.skin.unit == "mmHg"
         assert source.skin.f_max == 30
@@ -208,16 +229,24 @@ class TestXsensor:
             [False, True, False, True],
         ]
 
-    def test_empty_cells_are_masked_and_stay_so_and_zeros_beside_them_are_readings(self, opened):
+    def test_empty_cells_are_masked_and_stay_so_and_zeros_beside_them_are_readings(
+        self, opened
+    ):
         assert opened("sole.csv", xsensor_text(area=12 * 0.86 * 0.86)).skin.mask is None
         with pytest.raises(SourceError, match="elsewhere than the first frame"):
-            opened("sole.csv", xsensor_text([[",1", "2,3"], ["1,1", "2,3"], [",1", "2,3"]], pad=""))
-        mask = opened("sole.csv", xsensor_text([[",1,2", "0,0,"]] * 3, pad="")).skin.mask
+            opened(
+                "sole.csv",
+                xsensor_text([[",1", "2,3"], ["1,1", "2,3"], [",1", "2,3"]], pad=""),
+            )
+        mask = opened(
+            "sole.csv", xsensor_text([[",1,2", "0,0,"]] * 3, pad="")
+        ).skin.mask
         assert mask.tolist() == [[False, True, True], [True, True, False]]
 
     def test_stamps_are_the_times_of_the_frames_over_midnight(self, opened):
         source = opened(
-            "sole.csv", xsensor_text(times=("23:59:59.990", "00:00:00.000", "00:00:00.020"))
+            "sole.csv",
+            xsensor_text(times=("23:59:59.990", "00:00:00.000", "00:00:00.020")),
         )
         assert list(source.stamp_ns) == [0, 10_000_000, 30_000_000]
         assert source.rate_hz == pytest.approx(2 / 0.03)
@@ -239,7 +268,9 @@ def found_in(folder, name, text):
     path.write_bytes(text.encode("latin-1"))
     f_max = 100.0 if name in ("foot.lst", "sole.csv") else None
     found = []
-    assert refusal(lambda: found.append(open_file(path, Layout(f_max=f_max)))).isprintable()
+    assert refusal(
+        lambda: found.append(open_file(path, Layout(f_max=f_max)))
+    ).isprintable()
     return found[0] if found else None
 
 
@@ -250,13 +281,17 @@ def test_the_number_of_taxels_shows_at_the_begin(tmp_path):
 
 
 @pytest.mark.parametrize("name", TEXTS)
-def test_windows_line_ends_and_commas_of_a_spreadsheet_are_read_the_same(name, tmp_path):
+def test_windows_line_ends_and_commas_of_a_spreadsheet_are_read_the_same(
+    name, tmp_path
+):
     whole = found_in(tmp_path, name, TEXTS[name])
     texts = [TEXTS[name].replace("\n", "\r\n")]
     if name == "hand.asf":
         texts.append(TEXTS[name].replace("\n", ",,,\n"))
     for text in texts:
-        np.testing.assert_array_equal(found_in(tmp_path, name, text).frames, whole.frames)
+        np.testing.assert_array_equal(
+            found_in(tmp_path, name, text).frames, whole.frames
+        )
 
 
 @pytest.mark.parametrize("name", ["foot.lst", "hand.asf", "sole.csv"])
@@ -281,7 +316,8 @@ def test_damaged_files_give_what_a_source_promises_or_are_refused(name, data, tm
     for _ in range(data.draw(st.integers(1, 4)) if text else 0):
         start = data.draw(st.integers(0, len(text) - 1)) if text else 0
         new = data.draw(
-            st.sampled_from(PIECES) | st.binary(max_size=3).map(lambda b: b.decode("latin-1"))
+            st.sampled_from(PIECES)
+            | st.binary(max_size=3).map(lambda b: b.decode("latin-1"))
         )
         text = text[:start] + new + text[start + data.draw(st.integers(0, 6)) :]
     source = found_in(tmp_path, name, text)

@@ -46,7 +46,9 @@ def recorded(path, topic):
 
 def name_and_topic(path, schema):
     with BagReader(path) as bag:
-        (topic,) = [topic for topic, info in bag.topics.items() if info.schema == schema]
+        (topic,) = [
+            topic for topic, info in bag.topics.items() if info.schema == schema
+        ]
     return topic.strip("/").split("/")[0].lower(), topic
 
 
@@ -58,7 +60,9 @@ def test_episodes_are_read_back_by_the_source(paths, tmp_path, monkeypatch):
     assert {*written} == {path for path in out.rglob("*") if path.is_file()}
     for number, path in enumerate(paths):
         frames, stamps = recorded(path, topic)
-        stated = Layout(topic=f"data/right_tactile_data_{patch}:{number}", f_max=99.0, nan="mask")
+        stated = Layout(
+            topic=f"data/right_tactile_data_{patch}:{number}", f_max=99.0, nan="mask"
+        )
         source = open_file(out, stated)
         np.testing.assert_array_equal(source.frames, frames)
         seconds = (stamps - stamps[0]) / 1e9
@@ -77,7 +81,9 @@ def test_the_library_reads_what_a_tactile_dataset_has(paths, tmp_path):
     n = sum(LENGTHS)
     data = root["data"]
     assert data["timestamps"].shape == (n,)
-    np.testing.assert_array_equal(data[f"left_tactile_area_{patch}"][:], np.full((n, 1), 3))
+    np.testing.assert_array_equal(
+        data[f"left_tactile_area_{patch}"][:], np.full((n, 1), 3)
+    )
     assert set(data[f"left_tactile_type_{patch}"][:]) == {"matrix"}
     assert len(data[f"left_tactile_sensor_{patch}"][:]) == n
     frames = np.concatenate([recorded(path, topic)[0] for path in paths])
@@ -93,8 +99,12 @@ def test_rows_hold_the_newest_frame_of_each_topic(paths, tmp_path):
     out = tmp_path / "out.zarr"
     exported(paths[:1], out, topics=[reconstruction, taxels])
     for schema, topic in (("taxels", taxels), ("reconstruction", reconstruction)):
-        stated = Layout(topic=f"right_tactile_data_{patch}_{schema}", f_max=99.0, nan="mask")
-        np.testing.assert_array_equal(open_file(out, stated).frames, recorded(paths[0], topic)[0])
+        stated = Layout(
+            topic=f"right_tactile_data_{patch}_{schema}", f_max=99.0, nan="mask"
+        )
+        np.testing.assert_array_equal(
+            open_file(out, stated).frames, recorded(paths[0], topic)[0]
+        )
 
 
 @pytest.mark.parametrize(
@@ -113,7 +123,9 @@ def test_the_side_is_a_word_of_the_patch_or_the_stated_one(patch, name):
 
 def test_what_cannot_be_written_is_refused(paths, tmp_path):
     out = tmp_path / "out.zarr"
-    assert "--side up: allowed are" in refusal(lambda: exported(paths, out, side="up"), BagError)
+    assert "--side up: allowed are" in refusal(
+        lambda: exported(paths, out, side="up"), BagError
+    )
     assert "--area: -2" in refusal(lambda: exported(paths, out, area=-2), BagError)
     make_bag(tmp_path / "none.mcap", [skin_state()])
     refused = refusal(lambda: exported([tmp_path / "none.mcap"], out), BagError)
@@ -125,6 +137,14 @@ def test_what_cannot_be_written_is_refused(paths, tmp_path):
 
 def test_the_command_writes_several_recordings_as_episodes(paths, tmp_path, capsys):
     out = tmp_path / "a.zarr"
-    arguments = ["recording", "export", *map(str, paths), "--to", "zarr", "--out", str(out)]
+    arguments = [
+        "recording",
+        "export",
+        *map(str, paths),
+        "--to",
+        "zarr",
+        "--out",
+        str(out),
+    ]
     assert main([*arguments, "--area", "0"]) == 0
     assert str(out / "data" / "timestamps" / ".zarray") in capsys.readouterr().out

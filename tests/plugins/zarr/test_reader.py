@@ -63,13 +63,18 @@ def read(folder, **stated):
 
 @CASES
 @given(array=arrays(), data=st.data())
-def test_a_drawn_array_whose_axes_are_stated_is_read_as_it_was_written(tmp_path, array, data):
+def test_a_drawn_array_whose_axes_are_stated_is_read_as_it_was_written(
+    tmp_path, array, data
+):
     sides = array.stored.shape
     options = {
         "chunks": data.draw(st.tuples(*(st.integers(1, side + 2) for side in sides))),
         "compressors": data.draw(st.sampled_from(CODECS)),
         "order": data.draw(st.sampled_from("CF")),
-        "chunk_key_encoding": {"name": "v2", "separator": data.draw(st.sampled_from("./"))},
+        "chunk_key_encoding": {
+            "name": "v2",
+            "separator": data.draw(st.sampled_from("./")),
+        },
     }
     root = zarr.open_group(str(tmp_path / "a.zarr"), mode="w", zarr_format=2)
     put(root, "pad", array.stored, **options)
@@ -80,7 +85,9 @@ def test_a_drawn_array_whose_axes_are_stated_is_read_as_it_was_written(tmp_path,
 
 def test_places_without_a_chunk_hold_the_stated_number(tmp_path):
     root = zarr.open_group(str(tmp_path / "a.zarr"), mode="w", zarr_format=2)
-    entry = root.create_array("pad", shape=(9, 4, 3), dtype="f4", chunks=(2, 2, 2), fill_value=5)
+    entry = root.create_array(
+        "pad", shape=(9, 4, 3), dtype="f4", chunks=(2, 2, 2), fill_value=5
+    )
     entry[3:5] = 7
     frames = read(tmp_path / "a.zarr").frames
     assert (frames[3:5] == 7).all()
@@ -91,7 +98,9 @@ def test_labels_and_attributes_are_followed(tmp_path):
     root = zarr.open_group(str(tmp_path / "a.zarr"), mode="w", zarr_format=2)
     root.attrs["sampling_rate"] = 50
     entry = put(root, "pad", np.moveaxis(FRAMES, 0, -1))
-    entry.attrs.update({"_ARRAY_DIMENSIONS": ["y", "x", "time"], "units": "kPa", "f_max": 99})
+    entry.attrs.update(
+        {"_ARRAY_DIMENSIONS": ["y", "x", "time"], "units": "kPa", "f_max": 99}
+    )
     source = read(tmp_path / "a.zarr")
     np.testing.assert_array_equal(source.frames, FRAMES)
     assert source.skin.unit == "kPa"
@@ -123,7 +132,10 @@ class TestEpisodes:
             read(folder, topic="right_tactile_data_palm:2")
 
     def test_a_single_one_needs_no_word(self, tmp_path):
-        content = {"timestamps": np.arange(7) / 50, "right_tactile_data_palm": FRAMES[:, None]}
+        content = {
+            "timestamps": np.arange(7) / 50,
+            "right_tactile_data_palm": FRAMES[:, None],
+        }
         source = read(buffer(tmp_path / "a.zarr", ends=(7,), **content))
         np.testing.assert_array_equal(source.frames, FRAMES)
 
@@ -138,7 +150,10 @@ class TestEpisodes:
             np.testing.assert_array_equal(source.frames, pads[4:, k])
 
     def test_rows_of_several_sensors_are_rows_of_the_frame(self, tmp_path):
-        content = {"right_tactile_data_palm": FRAMES, "right_tactile_data_tips": FRAMES + 1}
+        content = {
+            "right_tactile_data_palm": FRAMES,
+            "right_tactile_data_tips": FRAMES + 1,
+        }
         folder = buffer(tmp_path / "a.zarr", **content)
         frames = read(folder, topic="right_tactile_data_palm:0").frames
         np.testing.assert_array_equal(frames, FRAMES[:4])
@@ -160,7 +175,9 @@ class TestRefused:
 
     def test_format_3(self, tmp_path):
         zarr.open_group(str(tmp_path / "b.zarr"), mode="w", zarr_format=3)
-        with pytest.raises(SourceError, match="is of Zarr format 3; allowed is format 2"):
+        with pytest.raises(
+            SourceError, match="is of Zarr format 3; allowed is format 2"
+        ):
             read(tmp_path / "b.zarr")
 
     @pytest.mark.parametrize(
@@ -196,7 +213,9 @@ class TestRefused:
 
     def test_bombs(self, folder):
         (folder / "pad" / "0.0.0").write_bytes(numcodecs.Zlib().encode(bytes(1 << 20)))
-        with pytest.raises(SourceError, match=r"chunk 0\.0\.0 has 193 bytes in place of 192"):
+        with pytest.raises(
+            SourceError, match=r"chunk 0\.0\.0 has 193 bytes in place of 192"
+        ):
             read(folder)
 
     @CASES
@@ -205,7 +224,12 @@ class TestRefused:
         root = zarr.open_group(str(tmp_path / "a.zarr"), mode="w", zarr_format=2)
         codec = data.draw(st.sampled_from(CODECS))
         put(root, "pad", FRAMES, chunks=(4, 4, 3), compressors=codec)
-        path = tmp_path / "a.zarr" / "pad" / data.draw(st.sampled_from([".zarray", "0.0.0"]))
+        path = (
+            tmp_path
+            / "a.zarr"
+            / "pad"
+            / data.draw(st.sampled_from([".zarray", "0.0.0"]))
+        )
         path.write_bytes(mutated(data, path.read_bytes()))
         refusal(lambda: read(tmp_path / "a.zarr"), SourceError)
 
@@ -216,7 +240,9 @@ def test_each_chunk_is_read_once(tmp_path, monkeypatch):
     names = []
     file_bytes = reader._file_bytes
     monkeypatch.setattr(
-        reader, "_file_bytes", lambda path, *a: names.append(path.name) or file_bytes(path, *a)
+        reader,
+        "_file_bytes",
+        lambda path, *a: names.append(path.name) or file_bytes(path, *a),
     )
     arrays_of_folder = reader.ZarrFolder(tmp_path / "a.zarr")
     names.clear()

@@ -22,7 +22,9 @@ def test_it_is_made_by_name_and_states_what_its_settings_may_be():
     assert solver.name == "tv"
     (warning,) = reconstruction_warnings(VARIATION, "haar", 256, 86, {"lambda_n": 0.1})
     assert warning.endswith("advised: 0.002 to 0.03")
-    with pytest.raises(SolverError, match=r"tv: lambda_n = .*a finite number of newtons"):
+    with pytest.raises(
+        SolverError, match=r"tv: lambda_n = .*a finite number of newtons"
+    ):
         TvSolver(subsets[0], HaarBasis(16, 16), lambda_n=np.nan)
 
 
@@ -33,18 +35,24 @@ def test_a_sliding_disc_is_reconstructed_better_than_by_fista():
     psnr = []
     for cls in (TvSolver, FistaSolver):
         solver = cls(phi, HaarBasis(40, 40))
-        psnr.append(psnr_db(np.array([solver.solve(one) for one in y])[15:], truth[15:]))
+        psnr.append(
+            psnr_db(np.array([solver.solve(one) for one in y])[15:], truth[15:])
+        )
     assert psnr[0] > psnr[1] + 3
 
 
 def test_an_edge_is_shrunk_as_theory_predicts_and_less_where_the_last_frame_had_it():
     """min 1/2 |x - y|^2 + lambda TV: each side of a lone step moves by lambda / its length."""
     y = np.repeat(np.float32([0.2, 0.8]), [6, 10])
-    solver = TvSolver(make_phi("full", 16, 16, 0), HaarBasis(1, 16), iterations=1000, lambda_n=0.06)
+    solver = TvSolver(
+        make_phi("full", 16, 16, 0), HaarBasis(1, 16), iterations=1000, lambda_n=0.06
+    )
     expected = np.repeat([0.2 + 0.06 / 6, 0.8 - 0.06 / 10], [6, 10])
     np.testing.assert_allclose(solver.solve(y).ravel(), expected, atol=1e-4)
     y = np.repeat(np.float32([0.2, 0.8]), [6, 10])
-    solver = TvSolver(make_phi("full", 16, 16, 0), HaarBasis(1, 16), iterations=300, lambda_n=0.06)
+    solver = TvSolver(
+        make_phi("full", 16, 16, 0), HaarBasis(1, 16), iterations=300, lambda_n=0.06
+    )
     first = np.ptp(solver.solve(y))
     for _ in range(5):
         last = np.ptp(solver.solve(y))
@@ -58,6 +66,10 @@ def test_differences_over_missing_taxels_do_not_count():
     mask[:, 4] = False
     y = np.where(np.indices((4, 9))[1] < 4, 0.3, 0.9).astype(np.float32)
     solver = TvSolver(
-        make_phi("full", 32, 32, seed=0), HaarBasis(4, 9), mask, iterations=200, lambda_n=0.1
+        make_phi("full", 32, 32, seed=0),
+        HaarBasis(4, 9),
+        mask,
+        iterations=200,
+        lambda_n=0.1,
     )
     np.testing.assert_allclose(solver.solve(y[mask])[mask], y[mask], atol=1e-5)

@@ -17,7 +17,10 @@ def normal(shape):
     return np.random.default_rng(5).standard_normal(shape).astype(np.float32)
 
 
-@given(name=st.sampled_from(sorted(BASES)), shape=st.tuples(st.integers(1, 40), st.integers(1, 40)))
+@given(
+    name=st.sampled_from(sorted(BASES)),
+    shape=st.tuples(st.integers(1, 40), st.integers(1, 40)),
+)
 def test_every_basis_of_any_size_is_orthonormal(name, shape):
     check_basis(make_basis(BASES[name], *shape))
 
@@ -26,7 +29,9 @@ def test_every_basis_of_any_size_is_orthonormal(name, shape):
 @pytest.mark.parametrize("name", ["haar", "db4"])
 def test_where_sides_are_powers_of_two_it_is_the_periodic_transform_of_pywavelets(name):
     image = normal((32, 32))
-    coefficients = pywt.wavedec2(image.astype(float), name, mode="periodization", level=5)
+    coefficients = pywt.wavedec2(
+        image.astype(float), name, mode="periodization", level=5
+    )
     expected, _ = pywt.coeffs_to_array(coefficients)
     analysed = make_basis(BASES[name], 32, 32).analysis(image)
     np.testing.assert_allclose(analysed, expected, atol=2e-5)

@@ -57,7 +57,9 @@ TIME_LIKE = re.compile(r"\d[:h]\d\d(?!\d)|\d[-/.]\d{1,2}[-/.]\d")
 """In texts that are times of a day or dates."""
 
 
-def time_column(head: TableHead, layout: Layout, data: Sequence[Line], name: str) -> int | None:
+def time_column(
+    head: TableHead, layout: Layout, data: Sequence[Line], name: str
+) -> int | None:
     """The column of the times. Raises UnstatedError if there may be several."""
     if layout.time == "none":
         return None
@@ -72,8 +74,14 @@ def time_column(head: TableHead, layout: Layout, data: Sequence[Line], name: str
     by_name = [k for k in by_name if holds_values(data, k)]
     by_name = _without_nanoseconds(head, by_name)
 
-    texts = [k for k in range(head.width) if k not in head.numeric and _text_unit(data, k)]
-    dates = [k for k in head.numeric if not is_indexed(head, k) and is_epoch(column_of(data, k))]
+    texts = [
+        k for k in range(head.width) if k not in head.numeric and _text_unit(data, k)
+    ]
+    dates = [
+        k
+        for k in head.numeric
+        if not is_indexed(head, k) and is_epoch(column_of(data, k))
+    ]
     dates = _without_nanoseconds(head, dates)
 
     # Names first, then texts that are times, then dates.
@@ -122,7 +130,9 @@ def _ask_for_texts(head: TableHead, data: Sequence[Line], name: str) -> None:
         if k in head.numeric:
             continue
         if all(TIME_LIKE.search(line.cells[k]) for line in data):
-            fault = f"column {head.label(k)} holds {shown(data[0].cells[k])}, like a time"
+            fault = (
+                f"column {head.label(k)} holds {shown(data[0].cells[k])}, like a time"
+            )
             forms = "2026-03-12T10:15:02.120, 12.03.2026 10:15:02.120 or 10:15:02.120"
             ways = "write the times so, or state rate_hz, or time=none"
             raise SourceError(f"{name}: {fault}; times that are read: {forms}; {ways}")
@@ -131,15 +141,21 @@ def _ask_for_texts(head: TableHead, data: Sequence[Line], name: str) -> None:
 def _stated_time(head: TableHead, text: str, name: str) -> int:
     columns = matching(text, head.names, head.width, name, "time")
     if len(columns) > 1:
-        raise SourceError(f"{name}: time: {shown(text)} names {len(columns)} columns, not one")
+        raise SourceError(
+            f"{name}: time: {shown(text)} names {len(columns)} columns, not one"
+        )
     return columns[0]
 
 
-def _time_at_an_end(head: TableHead, layout: Layout, data: Sequence[Line], name: str) -> int | None:
+def _time_at_an_end(
+    head: TableHead, layout: Layout, data: Sequence[Line], name: str
+) -> int | None:
     """The first or last column of a table without names, if it has one more than the stated shape,
     and is the only one of the two that rises.
     """
-    is_one_more = layout.n_stated is not None and len(head.numeric) == layout.n_stated + 1
+    is_one_more = (
+        layout.n_stated is not None and len(head.numeric) == layout.n_stated + 1
+    )
     if head.header or layout.columns or not is_one_more or len(data) < 2:
         return None
 
@@ -160,7 +176,9 @@ def _time_at_an_end(head: TableHead, layout: Layout, data: Sequence[Line], name:
     return None
 
 
-def _ask_for_times(head: TableHead, layout: Layout, data: Sequence[Line], name: str) -> None:
+def _ask_for_times(
+    head: TableHead, layout: Layout, data: Sequence[Line], name: str
+) -> None:
     """Raise UnstatedError if a column that nothing names rises in all lines: likely the times.
 
     A column whose name has a number, or that is stated, is a taxel; one that rises by 1 counts.
@@ -188,21 +206,29 @@ def _ask_for_times(head: TableHead, layout: Layout, data: Sequence[Line], name: 
     columns = "column rises" if len(rising) == 1 else "columns rise"
     ways = f"state {labels} or, if these are no times, time=none"
     options = [{"time": head.names[k] or str(k + 1)} for k in rising]
-    raise UnstatedError(f"{name}: {len(rising)} {columns} in all lines: {ways}", *options)
+    raise UnstatedError(
+        f"{name}: {len(rising)} {columns} in all lines: {ways}", *options
+    )
 
 
 def counters(head: TableHead, data: Sequence[Line]) -> list[int]:
     """A column at an end of a table without names that counts its lines, which is no taxel."""
     if head.header or head.kind != LINES or head.time is not None or len(data) < 3:
         return []
-    counting = [k for k in {head.numeric[0], head.numeric[-1]} if _counts(column_of(data, k))]
+    counting = [
+        k for k in {head.numeric[0], head.numeric[-1]} if _counts(column_of(data, k))
+    ]
     if len(counting) == 1:
-        head.notes += (f"column {head.label(counting[0])} counts lines, and is left out",)
+        head.notes += (
+            f"column {head.label(counting[0])} counts lines, and is left out",
+        )
         return counting
     return []
 
 
-def source_column(head: TableHead, layout: Layout, data: Sequence[Line], name: str) -> int | None:
+def source_column(
+    head: TableHead, layout: Layout, data: Sequence[Line], name: str
+) -> int | None:
     """The column by which the lines of one skin are chosen, where a name states that there is one.
     Raises UnstatedError if lines are of several skins, and none is stated.
     """
@@ -220,7 +246,9 @@ def source_column(head: TableHead, layout: Layout, data: Sequence[Line], name: s
             options = [{"frame_id": value} for value in values[:MAX_SHOWN]]
             raise UnstatedError(f"{name}: {fault}: state frame_id", *options)
     if layout.frame_id:
-        raise SourceError(f"{name}: frame_id: no column states {shown(layout.frame_id)}")
+        raise SourceError(
+            f"{name}: frame_id: no column states {shown(layout.frame_id)}"
+        )
     return None
 
 
@@ -246,7 +274,11 @@ def _takes_turns(head: TableHead, data: Sequence[Line], k: int) -> bool:
 
 def _counts(numbers: np.ndarray[tuple[int], np.dtype[np.float64]]) -> bool:
     """True for 0, 1, 2, ... or 1, 2, 3, ..."""
-    return numbers.size > 1 and numbers[0] in (0, 1) and bool((np.diff(numbers) == 1).all())
+    return (
+        numbers.size > 1
+        and numbers[0] in (0, 1)
+        and bool((np.diff(numbers) == 1).all())
+    )
 
 
 def _rises(numbers: np.ndarray[tuple[int], np.dtype[np.float64]]) -> bool:

@@ -20,7 +20,13 @@ from sparseskin.nodes.sensor.layout.times import (
     is_time_name,
 )
 
-from .columns import counters, nanoseconds_beside, source_column, time_column, unit_of_column
+from .columns import (
+    counters,
+    nanoseconds_beside,
+    source_column,
+    time_column,
+    unit_of_column,
+)
 from .sample import (
     FRAME_WORDS,
     GRID,
@@ -60,8 +66,27 @@ TITLE_TIME = re.compile(
 )
 """Times in lines between frames."""
 EXCEL_LINE = re.compile(r"sep=(.)", re.IGNORECASE)
-VALUE_WORDS = ("value", "val", "v", "force", "pressure", "reading", "data", "count", "counts")
-TAXEL_WORDS = ("taxel", "taxel_id", "sensor", "sensor_id", "channel", "cell", "electrode", "id")
+VALUE_WORDS = (
+    "value",
+    "val",
+    "v",
+    "force",
+    "pressure",
+    "reading",
+    "data",
+    "count",
+    "counts",
+)
+TAXEL_WORDS = (
+    "taxel",
+    "taxel_id",
+    "sensor",
+    "sensor_id",
+    "channel",
+    "cell",
+    "electrode",
+    "id",
+)
 
 
 def read_head(file: File) -> TableHead:
@@ -75,7 +100,9 @@ def read_head(file: File) -> TableHead:
     if not bodies:
         raise SourceError(f"{file.name}: the recording holds no frame")
     if bodies[0][1].lstrip().startswith("{"):
-        raise SourceError(f"{file.name}: lines of JSON are not read; write a table, as .csv")
+        raise SourceError(
+            f"{file.name}: lines of JSON are not read; write a table, as .csv"
+        )
     dialect = dialect_of([text for _, text in bodies[len(bodies) // 3 :]])
     if separator:
         dialect = dialect._replace(separator=separator)
@@ -128,7 +155,9 @@ def _note_texts(head: TableHead) -> None:
         head.notes += (f"no numbers, and left out: column {labels}",)
 
 
-def _ask_for_axes(head: TableHead, layout: Layout, data: Sequence[Line], name: str) -> None:
+def _ask_for_axes(
+    head: TableHead, layout: Layout, data: Sequence[Line], name: str
+) -> None:
     """Raise UnstatedError if lines have names of taxels, as s0, s1, and are as many as these."""
     if layout.columns or layout.axes or len(data) != layout.n_stated:
         return
@@ -220,13 +249,17 @@ def _headed(
         head.names = tuple(name.strip() for name in cells)
         head.header = begin.text
         head.dropped["header"] += 1
-        lines = _without_units(head, [line for line in later if line.text != begin.text])
+        lines = _without_units(
+            head, [line for line in later if line.text != begin.text]
+        )
     elif len(lines) == 1 and not any(map(is_number, begin.cells)):
         return []
     else:
         _named_by_comment(head, raw[n_skipped:], begin.number)
         if head.width > 1 and _counts_columns(cells):
-            head.notes += ("the first line counts: it is read as a frame; skip=1 if it is names",)
+            head.notes += (
+                "the first line counts: it is read as a frame; skip=1 if it is names",
+            )
 
     if lines and not any(is_value(cell) for cell in lines[0].cells):
         return []
@@ -294,7 +327,11 @@ def _rate(head: TableHead, raw: list[tuple[int, str]], first_number: int) -> Non
 
 
 def _ask_for_titles(
-    head: TableHead, layout: Layout, raw: list[tuple[int, str]], name: str, first_number: int
+    head: TableHead,
+    layout: Layout,
+    raw: list[tuple[int, str]],
+    name: str,
+    first_number: int,
 ) -> None:
     """Raise SourceError if lines between the frames of a grid state times, which are not read."""
     if layout.rate_hz is not None or layout.time or head.rate_hz is not None:
@@ -325,21 +362,31 @@ def _counts_columns(cells: Sequence[str]) -> bool:
     return counted in ([*map(str, range(n))], [*map(str, range(1, n + 1))])
 
 
-def _named_by_comment(head: TableHead, raw: list[tuple[int, str]], first_number: int) -> None:
+def _named_by_comment(
+    head: TableHead, raw: list[tuple[int, str]], first_number: int
+) -> None:
     """Names of columns in the comment before the data, as np.savetxt writes them."""
-    texts_before = [text.strip() for number, text in raw if number < first_number and text.strip()]
+    texts_before = [
+        text.strip() for number, text in raw if number < first_number and text.strip()
+    ]
     if not texts_before or not texts_before[-1].startswith(COMMENTS):
         return
     text = texts_before[-1].lstrip("#%/ ")
 
     names = tuple(cell.strip() for cell in head.dialect.cells(text))
-    has_names = any(map(is_time_name, names)) or any(re.search(r"\d", name) for name in names)
+    has_names = any(map(is_time_name, names)) or any(
+        re.search(r"\d", name) for name in names
+    )
     if len(names) == head.width and has_names and not any(map(is_number, names)):
         head.names = names
 
 
 def _count_before(
-    head: TableHead, raw: list[tuple[int, str]], first_number: int, layout: Layout, has_sep: bool
+    head: TableHead,
+    raw: list[tuple[int, str]],
+    first_number: int,
+    layout: Layout,
+    has_sep: bool,
 ) -> None:
     """Count the lines before the data by their names."""
     texts_before = [text for number, text in raw if number < first_number]
@@ -366,21 +413,31 @@ def _is_numeric(data: Sequence[Line], k: int, layout: Layout) -> bool:
     """True if most cells of a column that are not missing are numbers, and some is."""
     cells = [line.cells[k] for line in data]
     texts = [
-        cell for cell in cells if not (is_missing(cell) or cell.lower() in layout.missing_texts)
+        cell
+        for cell in cells
+        if not (is_missing(cell) or cell.lower() in layout.missing_texts)
     ]
     n_numbers = sum(map(is_number, texts))
     return n_numbers > 0 and 2 * n_numbers >= len(texts)
 
 
-def _without_readings(head: TableHead, data: Sequence[Line], numeric: set[int]) -> set[int]:
+def _without_readings(
+    head: TableHead, data: Sequence[Line], numeric: set[int]
+) -> set[int]:
     """Columns of missing numbers alone whose names are like those of columns of numbers: taxels
     that are dead.
     """
-    patterns = {re.sub(r"\d+", "#", head.names[k]) for k in numeric if is_indexed(head, k)}
+    patterns = {
+        re.sub(r"\d+", "#", head.names[k]) for k in numeric if is_indexed(head, k)
+    }
     dead = set()
     for k in range(head.width):
         is_like_others = re.sub(r"\d+", "#", head.names[k]) in patterns
-        if is_like_others and k not in numeric and all(is_missing(row.cells[k]) for row in data):
+        if (
+            is_like_others
+            and k not in numeric
+            and all(is_missing(row.cells[k]) for row in data)
+        ):
             dead.add(k)
     return dead
 
@@ -393,7 +450,9 @@ def _find_kind(
     head.long = _long_columns(head, layout, data)
     if head.long is not None:
         head.kind = LONG
-        head.notes += (f"a line for each taxel: {head.long.n_rows} x {head.long.n_cols}",)
+        head.notes += (
+            f"a line for each taxel: {head.long.n_rows} x {head.long.n_cols}",
+        )
         return
     if head.header or layout.columns or layout.time not in ("", "none"):
         return
@@ -405,17 +464,26 @@ def _find_kind(
     heights = _block_heights(head, raw, data[0].number)
     if fits and n_rows is not None:
         head.height = n_rows
-    elif not n_stated and len(heights) > 1 and len({*heights[:-1]}) == 1 and heights[0] > 1:
+    elif (
+        not n_stated
+        and len(heights) > 1
+        and len({*heights[:-1]}) == 1
+        and heights[0] > 1
+    ):
         head.height = heights[0]
     elif file.parts and not n_stated:
         head.height = sum(heights)
     else:
         return
     head.kind = GRID
-    head.notes += (f"a frame is a block of {head.height} lines of {head.width} readings",)
+    head.notes += (
+        f"a frame is a block of {head.height} lines of {head.width} readings",
+    )
 
 
-def _block_heights(head: TableHead, raw: list[tuple[int, str]], first_number: int) -> list[int]:
+def _block_heights(
+    head: TableHead, raw: list[tuple[int, str]], first_number: int
+) -> list[int]:
     """Lines of numbers in each block between blank lines or lines of text."""
     heights: list[int] = []
     is_within = False
@@ -434,7 +502,9 @@ def _block_heights(head: TableHead, raw: list[tuple[int, str]], first_number: in
     return heights
 
 
-def _long_columns(head: TableHead, layout: Layout, data: Sequence[Line]) -> LongColumns | None:
+def _long_columns(
+    head: TableHead, layout: Layout, data: Sequence[Line]
+) -> LongColumns | None:
     """Columns of frame, row, column and value, or of frame, taxel and value, where the names state
     them.
     """

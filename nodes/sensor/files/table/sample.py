@@ -17,7 +17,16 @@ from sparseskin.nodes.sensor.layout.times import (
 from .text import Dialect
 
 MAX_SHOWN = 8
-FRAME_WORDS = ("frame", "frame_id", "frame_no", "frame_number", "sample", "index", "seq", "n")
+FRAME_WORDS = (
+    "frame",
+    "frame_id",
+    "frame_no",
+    "frame_number",
+    "sample",
+    "index",
+    "seq",
+    "n",
+)
 LINES = "lines"
 GRID = "grid"
 LONG = "long"
@@ -87,7 +96,11 @@ def is_number(cell: str) -> bool:
 
 def is_value(cell: str) -> bool:
     """True if a cell is a number, a time, or states that there is none."""
-    return is_number(cell) or is_missing(cell) or bool(iso_ns(cell) or clock_ns(cell) is not None)
+    return (
+        is_number(cell)
+        or is_missing(cell)
+        or bool(iso_ns(cell) or clock_ns(cell) is not None)
+    )
 
 
 def holds_values(data: Sequence[Line], k: int) -> bool:
@@ -95,7 +108,9 @@ def holds_values(data: Sequence[Line], k: int) -> bool:
     return 2 * sum(is_value(line.cells[k]) for line in data) > len(data)
 
 
-def column_of(data: Sequence[Line], k: int) -> np.ndarray[tuple[int], np.dtype[np.float64]]:
+def column_of(
+    data: Sequence[Line], k: int
+) -> np.ndarray[tuple[int], np.dtype[np.float64]]:
     """Numbers of a column of the sample; NaN where there is none."""
     numbers = np.full(len(data), np.nan)
     for row, line in enumerate(data):

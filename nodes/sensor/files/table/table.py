@@ -11,9 +11,21 @@ import numpy.typing as npt
 
 from sparseskin.nodes.errors import SourceError
 from sparseskin.nodes.numerics.arrays import Doubles
-from sparseskin.nodes.sensor.files.recording import Block, File, Head, Recording, frames_per_block
+from sparseskin.nodes.sensor.files.recording import (
+    Block,
+    File,
+    Head,
+    Recording,
+    frames_per_block,
+)
 from sparseskin.nodes.sensor.layout.arrangement import Axis
-from sparseskin.nodes.sensor.layout.checks import NAN_HINT, is_missing, parse_number, reading, shown
+from sparseskin.nodes.sensor.layout.checks import (
+    NAN_HINT,
+    is_missing,
+    parse_number,
+    reading,
+    shown,
+)
 from sparseskin.nodes.sensor.layout.layout import UnstatedError
 from sparseskin.nodes.sensor.layout.tally import Tally
 from sparseskin.nodes.sensor.layout.times import CLOCK_UNIT, ISO, clock_ns, iso_ns
@@ -22,7 +34,9 @@ from .head import read_head
 from .sample import GRID, LONG, is_number
 from .text import pieces
 
-HEXADECIMAL = re.compile(r"0[xX][0-9a-fA-F]+|(?=[0-9A-F]*[A-F])(?=[A-F]*[0-9])[0-9A-F]{2,}|FF+")
+HEXADECIMAL = re.compile(
+    r"0[xX][0-9a-fA-F]+|(?=[0-9A-F]*[A-F])(?=[A-F]*[0-9])[0-9A-F]{2,}|FF+"
+)
 EXACT = float(1 << 53)
 """Largest whole number up to which float64 has all."""
 
@@ -210,7 +224,9 @@ class TableRecording(Recording):
                 return None
 
         try:
-            values = np.loadtxt(texts, delimiter=separator, comments=None, ndmin=2, usecols=columns)
+            values = np.loadtxt(
+                texts, delimiter=separator, comments=None, ndmin=2, usecols=columns
+            )
         except ValueError:
             return None
         if columns is not None:
@@ -231,13 +247,18 @@ class TableRecording(Recording):
         """Times of lines; whole numbers beyond the precision of float64 are read from the text."""
         head = self._head
         assert head.time is not None
-        is_number_of_unit = head.time in head.numeric and head.time_unit not in (ISO, CLOCK_UNIT)
+        is_number_of_unit = head.time in head.numeric and head.time_unit not in (
+            ISO,
+            CLOCK_UNIT,
+        )
         if is_number_of_unit and head.nanoseconds is None:
             times = parsed[:, head.time]
             if np.isfinite(times).all() and np.abs(times).max(initial=0) < EXACT:
                 return list(times.tolist())
         lines = [head.dialect.cells(text) for text in texts]
-        return [self._instant(cells, n) for cells, n in zip(lines, numbers, strict=True)]
+        return [
+            self._instant(cells, n) for cells, n in zip(lines, numbers, strict=True)
+        ]
 
     def _parsed_slowly(
         self, texts: Sequence[str], numbers: Sequence[int]
@@ -251,7 +272,9 @@ class TableRecording(Recording):
                 cells.pop()
             if len(cells) != head.width:
                 place = f"{self._file.name}, line {number}"
-                raise SourceError(f"{place}: holds {len(cells)} cells; {head.width} are expected")
+                raise SourceError(
+                    f"{place}: holds {len(cells)} cells; {head.width} are expected"
+                )
             if head.time is not None:
                 times.append(self._instant(cells, number))
             for column in head.usable or head.numeric:
@@ -296,7 +319,9 @@ class TableRecording(Recording):
             parse = iso_ns if head.time_unit == ISO else clock_ns
             instant = parse(cell)
             if instant is None:
-                raise SourceError(f"{where}: {shown(cell)} is no time as those before it")
+                raise SourceError(
+                    f"{where}: {shown(cell)} is no time as those before it"
+                )
             return instant
         if cell.isascii() and cell.isdecimal() and len(cell) < 20:
             return int(cell)
@@ -318,7 +343,9 @@ class TableRecording(Recording):
                 # Frames that are complete; the other lines wait for theirs.
                 n_whole = len(waiting_texts) // height * height
                 if n_whole:
-                    parsed, _ = self._parsed(waiting_texts[:n_whole], waiting_numbers[:n_whole])
+                    parsed, _ = self._parsed(
+                        waiting_texts[:n_whole], waiting_numbers[:n_whole]
+                    )
                     n_frames = n_whole // height
                     self.tally.take(n_whole, n_frames)
                     yield Block(parsed.reshape(n_frames, height, self._head.width))
@@ -340,7 +367,11 @@ class TableRecording(Recording):
         for new_rows, new_times in self._rows():
             rows = np.concatenate([rows, new_rows])
             times += new_times or []
-            keys = np.array(times) if long.frame == self._head.time else rows[:, long.frame]
+            keys = (
+                np.array(times)
+                if long.frame == self._head.time
+                else rows[:, long.frame]
+            )
             begins = np.flatnonzero(np.diff(keys, prepend=np.nan) != 0)
             # The last frame may go on in the next lines.
             stop = int(begins[-1])

@@ -13,7 +13,9 @@ from sparseskin.nodes.sensor.files.recording import MAX_LINE_BYTES
 PIECE_BYTES = 1 << 21
 """Bytes of a piece; chosen: decoding them takes some ten milliseconds."""
 SEPARATORS = (";", "\t", ",", "|")
-PREFIX = re.compile(r"\s*((?:\d{4}-\d\d-\d\d[ T])?[\d:.,]+)\s*(?:->|=>|:(?=\s*[\[(]))\s*")
+PREFIX = re.compile(
+    r"\s*((?:\d{4}-\d\d-\d\d[ T])?[\d:.,]+)\s*(?:->|=>|:(?=\s*[\[(]))\s*"
+)
 """A time before the readings, as in "10:15:02.120 -> 1,2,3" or "0.25: [1, 2, 3]"."""
 BRACKETS = str.maketrans("", "", "[](){}")
 COMMENTS = ("#", "%", "//")
@@ -42,7 +44,10 @@ class Dialect(NamedTuple):
     def is_plain(self) -> bool:
         """True if NumPy reads its lines of numbers as they are."""
         return not (
-            self.has_decimal_comma or self.has_prefix or self.has_brackets or self.has_quotes
+            self.has_decimal_comma
+            or self.has_prefix
+            or self.has_brackets
+            or self.has_quotes
         )
 
     def cells(self, line: str) -> list[str]:
@@ -70,7 +75,9 @@ class Dialect(NamedTuple):
         if '"' not in line:
             return [cell.strip() for cell in line.split(self.separator)]
         try:
-            row = next(csv.reader([line], delimiter=self.separator, skipinitialspace=True))
+            row = next(
+                csv.reader([line], delimiter=self.separator, skipinitialspace=True)
+            )
         except (csv.Error, StopIteration):
             return []
         return [cell.strip() for cell in row]
@@ -89,7 +96,9 @@ def pieces(file: IO[bytes], name: str) -> Iterator[Piece]:
             line_end = file.readline(MAX_LINE_BYTES)
             if len(line_end) == MAX_LINE_BYTES:
                 line = number + data.count(b"\n")
-                raise SourceError(f"{name}, line {line}: is longer than {MAX_LINE_BYTES} bytes")
+                raise SourceError(
+                    f"{name}, line {line}: is longer than {MAX_LINE_BYTES} bytes"
+                )
             data += line_end
         if is_first:
             data = data.removeprefix(b"\xef\xbb\xbf")
@@ -113,9 +122,13 @@ def dialect_of(lines: Sequence[str]) -> Dialect:
     bodies = list(lines)
     if has_prefix:
         bodies = [PREFIX.sub("", line, count=1) for line in lines]
-    has_brackets = _are_most(bodies, lambda line: re.search(r"[\[(]\s*[-+.\d]", line) is not None)
+    has_brackets = _are_most(
+        bodies, lambda line: re.search(r"[\[(]\s*[-+.\d]", line) is not None
+    )
     separator = _separator(bodies)
-    has_decimal_comma = separator in (";", "\t", " ") and _have_decimal_commas(bodies, separator)
+    has_decimal_comma = separator in (";", "\t", " ") and _have_decimal_commas(
+        bodies, separator
+    )
     if separator == " " and has_brackets and any("," in body for body in bodies):
         separator = ","
     has_quotes = any('"' in line for line in lines)

@@ -10,7 +10,13 @@ import numpy as np
 
 from sparseskin.nodes.errors import SourceError
 from sparseskin.nodes.numerics.arrays import Doubles
-from sparseskin.nodes.sensor.files.recording import Block, File, Head, Recording, frames_per_block
+from sparseskin.nodes.sensor.files.recording import (
+    Block,
+    File,
+    Head,
+    Recording,
+    frames_per_block,
+)
 from sparseskin.nodes.sensor.layout.arrangement import Axis
 from sparseskin.nodes.sensor.layout.names import matching
 from sparseskin.nodes.sensor.layout.tally import Tally
@@ -96,5 +102,7 @@ class TransposedTable(Recording):
 
 def _only(lines: Sequence[int], file: File) -> int:
     if len(lines) > 1:
-        raise SourceError(f"{file.name}: {len(lines)} lines may be the times; state time, as first")
+        raise SourceError(
+            f"{file.name}: {len(lines)} lines may be the times; state time, as first"
+        )
     return lines[0]

@@ -22,7 +22,9 @@ def normal(shape, seed=5):
 
 @pytest.mark.parametrize("kind", [*KINDS, "local:3", "local:100", "row_local"])
 @pytest.mark.parametrize(("n", "m"), [(1, 1), (33, 1), (95, 31), (95, 95)])
-def test_adjoint_passes_the_dot_test_both_are_the_dense_matrix_and_rows_are_orthonormal(kind, n, m):
+def test_adjoint_passes_the_dot_test_both_are_the_dense_matrix_and_rows_are_orthonormal(
+    kind, n, m
+):
     m = n if kind == "full" else m
     phi = make_phi(kind, n, m, seed=3)
     phi.lay_out(np.ones((5, 19) if n == 95 else (1, n), np.bool_))
@@ -51,7 +53,10 @@ def test_sbhe_rows_are_signs_on_one_block_of_32_taxels():
 @pytest.mark.parametrize("kind", KINDS)
 def test_a_batch_gives_the_bits_of_its_frames_and_leaves_the_input_alone(kind):
     phi = make_phi(kind, 100, 100 if kind == "full" else 33, seed=2)
-    for apply, given_to in ((phi.forward, normal((5, phi.n))), (phi.adjoint, normal((5, phi.m)))):
+    for apply, given_to in (
+        (phi.forward, normal((5, phi.n))),
+        (phi.adjoint, normal((5, phi.m))),
+    ):
         before = given_to.copy()
         np.testing.assert_array_equal(apply(given_to), [apply(one) for one in given_to])
         np.testing.assert_array_equal(given_to, before)
@@ -109,9 +114,15 @@ def test_describe_is_enough_to_make_it_again(kind):
         (("full", 64, 20, 0), "m = 20 is not allowed; allowed: 64"),
         (("gaussian", 4097, 20, 0), r"n = 4097 is not allowed; allowed: 1\.\.4096"),
         (("no_such_module:Phi", 64, 20, 0), "no_such_module"),
-        (("collections:OrderedDict", 64, 20, 0), "no measurement matrix: it lacks kind"),
+        (
+            ("collections:OrderedDict", 64, 20, 0),
+            "no measurement matrix: it lacks kind",
+        ),
         (("decimal:Decimal", 64, 20, 0), "does not take n, m, seed, block"),
-        ((f"{__name__}:Unnamed", 64, 64, 0), "fingerprint = ''; expected 16 hexadecimal digits"),
+        (
+            (f"{__name__}:Unnamed", 64, 64, 0),
+            "fingerprint = ''; expected 16 hexadecimal digits",
+        ),
         (("local:", 64, 8, 0), 'phi "local:": expected local:SIDE'),
         (("local:0", 64, 8, 0), "1..4096"),
         (("local", 64, 8, 0), "is not known"),

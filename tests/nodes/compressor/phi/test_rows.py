@@ -11,7 +11,15 @@ from sparseskin.launch.launchfile.load import load
 from sparseskin.messages import Measurements, Reconstruction
 from sparseskin.nodes.clock import ManualClock
 from sparseskin.nodes.compressor.node import CompressorSettings
-from sparseskin.nodes.compressor.phi.base import KINDS, RANDOM, RULES, SUMS, Phi, block_of, make_phi
+from sparseskin.nodes.compressor.phi.base import (
+    KINDS,
+    RANDOM,
+    RULES,
+    SUMS,
+    Phi,
+    block_of,
+    make_phi,
+)
 from sparseskin.nodes.compressor.phi.rotation import row_subsets
 from sparseskin.nodes.compressor.phi.sbhe import SbhePhi, least_m
 from sparseskin.nodes.errors import PhiError
@@ -28,7 +36,13 @@ def sbhe(n, m, seed=0, block=256, rule=SUMS):
     return make_phi("sbhe", n, m, seed, block, rule)
 
 
-@given(n=SIZES, data=st.data(), block=BLOCKS, seed=SEEDS, kind=st.sampled_from(["sbhe", "local:5"]))
+@given(
+    n=SIZES,
+    data=st.data(),
+    block=BLOCKS,
+    seed=SEEDS,
+    kind=st.sampled_from(["sbhe", "local:5"]),
+)
 def test_compiled_loops_measure_the_same_bits(n, data, block, seed, kind):
     pytest.importorskip("numba")
     m = data.draw(st.integers(1, n))
@@ -38,7 +52,9 @@ def test_compiled_loops_measure_the_same_bits(n, data, block, seed, kind):
         phi.lay_out(np.ones((1, n), np.bool_))
     x = np.random.default_rng(seed).standard_normal(n, dtype=np.float32)
     y = np.random.default_rng(seed).standard_normal(m, dtype=np.float32)
-    for one, other in zip(row_subsets(plain, None), row_subsets(compiled, None), strict=True):
+    for one, other in zip(
+        row_subsets(plain, None), row_subsets(compiled, None), strict=True
+    ):
         assert other.forward(x).tobytes() == one.forward(x).tobytes()
         assert other.adjoint(y).tobytes() == one.adjoint(y).tobytes()
         assert other.fingerprint == one.fingerprint
@@ -73,14 +89,22 @@ def test_fixed_rows_are_the_sums_and_others_in_proportion(n, data, block, seed):
     of_block = (sizes - 1) / max(1, n - len(sizes))
     small = sizes <= min(32, max(sizes) - 1)
     assert (small | (others < (m - len(sizes)) * of_block + 1)).all()
-    assert (others > (m - len(sizes) - np.log2(sizes).sum(where=small)) * of_block - 1).all()
-    columns = phi.dense()[:, phi.permutation[np.repeat(least_m(phi.sizes)[first] <= m, sizes)]]
-    assert np.unique(columns.round(9), axis=1).shape == columns.shape  # none is like another
+    assert (
+        others > (m - len(sizes) - np.log2(sizes).sum(where=small)) * of_block - 1
+    ).all()
+    columns = phi.dense()[
+        :, phi.permutation[np.repeat(least_m(phi.sizes)[first] <= m, sizes)]
+    ]
+    assert (
+        np.unique(columns.round(9), axis=1).shape == columns.shape
+    )  # none is like another
     check_phi(phi)
 
 
 @given(n=SIZES, data=st.data(), block=BLOCKS, seed=SEEDS)
-def test_row_subsets_have_a_sum_and_others_and_together_nearly_all(n, data, block, seed):
+def test_row_subsets_have_a_sum_and_others_and_together_nearly_all(
+    n, data, block, seed
+):
     m = data.draw(st.integers(-(-n // 64), n))
     phi = sbhe(n, m, seed, block)
     sums = starts(phi)[np.equal(phi.sizes, max(phi.sizes))]
@@ -181,13 +205,19 @@ def by_function(n, m, seed, block):
 
 def test_what_cannot_rotate_is_named():
     for kind in ("gaussian", "full"):
-        with pytest.raises(PhiError, match=f'rows: "rotating" is not allowed for phi "{kind}"'):
+        with pytest.raises(
+            PhiError, match=f'rows: "rotating" is not allowed for phi "{kind}"'
+        ):
             CompressorSettings(phi=kind, rows="rotating").check()
         with pytest.raises(PhiError, match="allowed: sbhe, subsample"):
             row_subsets(make_phi(kind, 64, 64, seed=0), "rotating")
-    with pytest.raises(PhiError, match="rows: 'turning' is not allowed; allowed: fixed, rotating"):
+    with pytest.raises(
+        PhiError, match="rows: 'turning' is not allowed; allowed: fixed, rotating"
+    ):
         row_subsets(make_phi("sbhe", 64, 16, seed=0), "turning")
-    with pytest.raises(PhiError, match=r"m = 24 of n = 1600; allowed: m of 25 or more \(N/64\)"):
+    with pytest.raises(
+        PhiError, match=r"m = 24 of n = 1600; allowed: m of 25 or more \(N/64\)"
+    ):
         row_subsets(make_phi("sbhe", 1600, 24, seed=0), "rotating")
 
 
@@ -208,7 +238,10 @@ def states_of(bus):
 def test_row_subsets_alternate_and_each_frame_is_inverted_by_its_own_matrix():
     bus = graph("compressor.ratio=4")  # rows rotate by default
     frames = list(bus.frames(10))
-    prints = [phi.fingerprint for phi in row_subsets(make_phi("sbhe", 1600, 400, 0), "rotating")]
+    prints = [
+        phi.fingerprint
+        for phi in row_subsets(make_phi("sbhe", 1600, 400, 0), "rotating")
+    ]
     assert [state.rows for state in states_of(bus)[1:]] == ["rotating"]
     for k, messages in enumerate(frames):
         assert only(messages, Measurements).phi == prints[k % 4]
@@ -247,31 +280,50 @@ def test_it_can_be_switched_on_and_off_while_the_graph_runs():
             17: {"rows": None},  # the default
             20: {"m": 1600},  # no row is left to rotate to
         }
-        said = bus._deliver(bus.hosts["compressor"].change(changes[k])) if k in changes else []
+        said = (
+            bus._deliver(bus.hosts["compressor"].change(changes[k]))
+            if k in changes
+            else []
+        )
     assert bus.hosts["reconstructor"].counts.refused == {}
     prints = [only(messages, Measurements).phi for messages in frames]
-    assert [len(set(part)) for part in (prints[:6], prints[6:12], prints[12:15])] == [1, 3, 3]
+    assert [len(set(part)) for part in (prints[:6], prints[6:12], prints[12:15])] == [
+        1,
+        3,
+        3,
+    ]
     assert set(prints[15:18]) == {prints[0]}
     assert prints[18:21] == prints[6:9]
     assert len(set(prints[21:])) == 1
-    assert all(only(m, Reconstruction).phi == p for m, p in zip(frames, prints, strict=True))
+    assert all(
+        only(m, Reconstruction).phi == p for m, p in zip(frames, prints, strict=True)
+    )
 
 
 @pytest.mark.parametrize(
     ("preset", "rows", "warned"),
-    [("paper", "rotating", True), ("paper", "paper", False), ("skin", "rotating", False)],
+    [
+        ("paper", "rotating", True),
+        ("paper", "paper", False),
+        ("skin", "rotating", False),
+    ],
 )
-def test_the_papers_method_with_other_rows_than_its_own_is_warned_of(preset, rows, warned):
+def test_the_papers_method_with_other_rows_than_its_own_is_warned_of(
+    preset, rows, warned
+):
     bus = graph(f"reconstructor.preset={preset}", f"compressor.rows={rows}")
     list(bus.frames(1))
     assert (f"[reconstructor] {OTHER_ROWS}" in bus.lines) == warned
 
 
 @pytest.mark.parametrize(
-    ("rows", "some_doubted"), [(FIXED, False), (ROTATING, False), ("compressor.ratio=8", True)]
+    ("rows", "some_doubted"),
+    [(FIXED, False), (ROTATING, False), ("compressor.ratio=8", True)],
 )
 def test_an_untouched_skin_at_the_start_logs_no_doubt(rows, some_doubted):
     bus = graph(rows, "reconstructor.iterations=8")
-    doubted = [not only(messages, Reconstruction).trusted[0] for messages in bus.frames(40)]
+    doubted = [
+        not only(messages, Reconstruction).trusted[0] for messages in bus.frames(40)
+    ]
     assert any(doubted) == some_doubted
     assert not [line for line in bus.lines if "not to be trusted" in line]

@@ -77,14 +77,29 @@ def first(value):
         (changed("format", lambda a: np.array(b"coo")), 'format: expected "csr"'),
         (changed("shape", lambda a: np.array([4, 6, 1])), "shape: 3 numbers"),
         (changed("shape", lambda a: np.array([6, 4])), "shape: 6 x 4; allowed"),
-        (changed("shape", lambda a: np.array([4.0, 6.0])), "shape: expected a list of whole"),
-        (changed("indptr", first(1)), "no matrix of 4 x 6 in format csr: index pointer"),
-        (changed("indptr", lambda a: np.array([0, 0, 1, 2, a[-1]])), "data: a row holds zeros al"),
+        (
+            changed("shape", lambda a: np.array([4.0, 6.0])),
+            "shape: expected a list of whole",
+        ),
+        (
+            changed("indptr", first(1)),
+            "no matrix of 4 x 6 in format csr: index pointer",
+        ),
+        (
+            changed("indptr", lambda a: np.array([0, 0, 1, 2, a[-1]])),
+            "data: a row holds zeros al",
+        ),
         (changed("indices", first(6)), "no matrix of 4 x 6 in format csr: "),
-        (changed("data", lambda a: a.astype(np.complex64)), "data: expected a list of numbers"),
+        (
+            changed("data", lambda a: a.astype(np.complex64)),
+            "data: expected a list of numbers",
+        ),
         (changed("data", first(np.nan)), "data: expected finite numbers"),
         (changed("data", first(1e7)), "data: expected finite numbers of at most 1e+06"),
-        (alone((4, 6)), "one array, float64 of 2 dimensions; expected numbers of 3, (k, m, n)"),
+        (
+            alone((4, 6)),
+            "one array, float64 of 2 dimensions; expected numbers of 3, (k, m, n)",
+        ),
         (alone((0, 4, 6)), "0 matrices of 4 x 6; allowed: 1..64 of 1 <= m <= n"),
         (alone((65, 1, 1)), "65 matrices of 1 x 1; allowed: 1..64"),
         ({"arr_0": HALF_EMPTY}, "matrix 1: data: a row holds zeros alone"),
@@ -100,7 +115,11 @@ def test_a_file_that_is_no_such_matrix_is_refused_with_its_name(arrays, line, tm
 
 def test_objects_bombs_and_folders_are_refused(tmp_path, monkeypatch):
     path = tmp_path / "phi.npz"
-    np.savez(path, **{**parts(), "data": np.array([print] * 4, dtype=object)}, allow_pickle=True)
+    np.savez(
+        path,
+        **{**parts(), "data": np.array([print] * 4, dtype=object)},
+        allow_pickle=True,
+    )
     with pytest.raises(PhiError, match="Python objects"):
         make_phi(f"file:{path}", 6, 4, 0)
     np.savez(path, **parts())
@@ -157,7 +176,9 @@ def test_another_size_is_refused_before_the_start(tmp_path):
     with pytest.raises(PhiError, match="is 4 x 6; expected m x n = 4 x 7"):
         make_phi(f"file:{path}", 7, 4, 0)
     phis = [f"{node}.phi=file:{path}" for node in ("compressor", "reconstructor")]
-    assert "is 4 x 6; expected m x n = 4 x 1600" in "".join(launch_faults("path_40", phis))
+    assert "is 4 x 6; expected m x n = 4 x 1600" in "".join(
+        launch_faults("path_40", phis)
+    )
 
 
 def test_a_graph_and_a_stream_measure_by_a_stack_in_turn(tmp_path):
@@ -168,7 +189,11 @@ def test_a_graph_and_a_stream_measure_by_a_stack_in_turn(tmp_path):
     press[:, 10:18, 12:24] = 0.8
     np.save(tmp_path / "press.npy", press)
     chosen = [f"{node}.phi={kind}" for node in ("compressor", "reconstructor")]
-    chosen += [f"sensor.source=file:{tmp_path}/press.npy", "sensor.unit=N", "sensor.rate_hz=100"]
+    chosen += [
+        f"sensor.source=file:{tmp_path}/press.npy",
+        "sensor.unit=N",
+        "sensor.rate_hz=100",
+    ]
     chosen += ["sensor.f_max=2.5"]
     chosen += ["reconstructor.iterations=8"]
     frames = run_launch("replay", 9, chosen)
@@ -209,7 +234,8 @@ def test_a_block_sums_taxels_of_its_neighbourhood_alone(side):
     rows, cols = np.divmod(blocks, 48)
     # A block of 32 fills two neighbourhoods of 4 x 4, and lies within larger ones.
     n_neighbourhoods = [
-        len(set(zip(r // side, c // side, strict=True))) for r, c in zip(rows, cols, strict=True)
+        len(set(zip(r // side, c // side, strict=True)))
+        for r, c in zip(rows, cols, strict=True)
     ]
     assert set(n_neighbourhoods) == {max(1, 32 // side**2)}
     assert np.sort(blocks.ravel()).tolist() == list(range(32 * 48))

@@ -92,24 +92,37 @@ def frames_shown(page):
 
 def frames_played(page, stamps_ns):
     """Frames of a recording before the player's position, which is the next frame's."""
-    position_s = float(page.find_element("css selector", "[data-seek]").get_property("value"))
+    position_s = float(
+        page.find_element("css selector", "[data-seek]").get_property("value")
+    )
     return sum((ns - stamps_ns[0]) / 1e9 < position_s - 1e-6 for ns in stamps_ns)
 
 
-def test_a_running_graph_is_watched_controlled_and_recorded_from_the_page(start, page, tmp_path):
+def test_a_running_graph_is_watched_controlled_and_recorded_from_the_page(
+    start, page, tmp_path
+):
     program = open_page(start, page, "path_40", "--set", "sensor.rate_hz=30")
     for which in ("taxels", "reconstruction", "error"):
         before = pixels(page, which)
         wait_until(lambda: pixels(page, which) != before, f"another map of {which}")  # noqa: B023
-    assert text(page, "figure h2") == "Truth Taxels (measured) Reconstruction Absolute error"
+    assert (
+        text(page, "figure h2")
+        == "Truth Taxels (measured) Reconstruction Absolute error"
+    )
     nothing_is_asked_of_another_host(page)
     field = "reconstructor.iterations"
     set_field(page, field, "7")
     wait_until(lambda: answer(page, field) == "✓ iterations = 7", "the answer")
-    wait_until(lambda: page.find_element("id", field).get_property("value") == "7", "the new value")
+    wait_until(
+        lambda: page.find_element("id", field).get_property("value") == "7",
+        "the new value",
+    )
     # What the owner refuses changes nothing, and the page says why.
     set_field(page, field, "0")
-    wait_until(lambda: answer(page, field) == "✗ iterations: 0 is outside 1..1000", "the refusal")
+    wait_until(
+        lambda: answer(page, field) == "✗ iterations: 0 is outside 1..1000",
+        "the refusal",
+    )
     choose(page, "reconstructor.solver", "fista")
     choose(page, "reconstructor.preset", "skin")
     faded = f"return getComputedStyle(document.querySelector('[data-answer=\"{field}\"]')).opacity"
@@ -119,22 +132,35 @@ def test_a_running_graph_is_watched_controlled_and_recorded_from_the_page(start,
     set_field(page, "sensor.rate_hz", "20")
     wait_until(lambda: "Pause" in text(page, "[data-pause]"), "the run to go on")
     set_field(page, "compressor.m", "400")
-    wait_until(lambda: text(page, '[data-tile="compression"] strong') == "4.00 : 1", "M = 400")
+    wait_until(
+        lambda: text(page, '[data-tile="compression"] strong') == "4.00 : 1", "M = 400"
+    )
     page.execute_script("document.getElementById('record').click()")
-    wait_until(lambda: answer(page, "launch").startswith("✓ recording to"), "the recording")
+    wait_until(
+        lambda: answer(page, "launch").startswith("✓ recording to"), "the recording"
+    )
     wait_until(lambda: "Stop" in text(page, "#record"), "the button to change")
     shown = int(drawn(page))
     wait_until(lambda: int(drawn(page)) > shown + 10, "some frames")
     page.execute_script("document.getElementById('record').click()")
-    wait_until(lambda: "messages recorded" in answer(page, "launch"), "the end of the recording")
+    wait_until(
+        lambda: "messages recorded" in answer(page, "launch"),
+        "the end of the recording",
+    )
     (file,) = tmp_path.glob("path_40-*.mcap")
     assert file.stat().st_size > 10_000
-    wait_until(lambda: text(page, "#liveness") == "live", "the page to say that all is well")
+    wait_until(
+        lambda: text(page, "#liveness") == "live", "the page to say that all is well"
+    )
     sensor = program.pid_of("sensor")
     os.kill(sensor, signal.SIGSTOP)
     try:
-        wait_until(lambda: "stale: no new frame for" in text(page, "#notices"), "the notice")
-        wait_until(lambda: "sensor: not answering" in text(page, "#nodes"), "the node's state")
+        wait_until(
+            lambda: "stale: no new frame for" in text(page, "#notices"), "the notice"
+        )
+        wait_until(
+            lambda: "sensor: not answering" in text(page, "#nodes"), "the node's state"
+        )
         assert text(page, "#liveness") == "stale"
         assert len(page.find_elements("css selector", "#maps figure.stale")) == 4
     finally:
@@ -145,7 +171,9 @@ def test_a_running_graph_is_watched_controlled_and_recorded_from_the_page(start,
 
 
 def nothing_is_asked_of_another_host(page):
-    entries = [json.loads(entry["message"])["message"] for entry in page.get_log("performance")]
+    entries = [
+        json.loads(entry["message"])["message"] for entry in page.get_log("performance")
+    ]
     asked = [
         entry["params"]["request"]["url"]
         for entry in entries
@@ -163,7 +191,12 @@ def test_hosts_are_in_the_header(page):
     graph = Graph()
     graph.skin()
     with served(graph, page):
-        host = {"heard": True, "silent": [], "clock_offset_ms": 0.1, "clock_uncertainty_ms": 0.3}
+        host = {
+            "heard": True,
+            "silent": [],
+            "clock_offset_ms": 0.1,
+            "clock_uncertainty_ms": 0.3,
+        }
         graph.feed.update(graph=graph_state(hosts={"edge": host}))
         graph.frame()
         clock = "host edge: connected, clock +0.10 ± 0.30 ms"
@@ -268,7 +301,9 @@ def test_the_marks_of_frames_in_doubt_and_of_old_frames_move_nothing(page):
         wait_until(lambda: page.execute_script(old), "the age of each map")
         assert page.execute_script(places) == before
         graph.frame(error=0.1)
-        wait_until(lambda: "not trusted" not in "".join(page.execute_script(marks)), "no marks")
+        wait_until(
+            lambda: "not trusted" not in "".join(page.execute_script(marks)), "no marks"
+        )
         assert page.execute_script(explained) == ""
 
 
@@ -303,24 +338,40 @@ def test_a_colour_range_grows_at_once_and_shrinks_after_a_while(page):
 
 def test_the_numbers_of_the_page_are_those_of_the_summary(start, page, tmp_path):
     summary = tmp_path / "summary.json"
-    settings = ("--set", "sensor.rate_hz=30", "--frames", "450", "--summary", str(summary))
+    settings = (
+        "--set",
+        "sensor.rate_hz=30",
+        "--frames",
+        "450",
+        "--summary",
+        str(summary),
+    )
     settings += ("--set", "reconstructor.depth=0")
     open_page(start, page, "drag_wrench_40", *settings).ended()
-    wait_until(lambda: "The graph has ended" in text(page, "#notices"), "the end on the page")
+    wait_until(
+        lambda: "The graph has ended" in text(page, "#notices"), "the end on the page"
+    )
     assert "The graph has ended: nothing can be set." in text(page, "#controls")
     assert page.find_elements("css selector", "#controls :enabled") == []
     patch = json.loads(summary.read_text())["patches"]["skin"]
-    noisy, restored = (patch["psnr_db"][k]["contact"]["mean"] for k in ("noisy", "reconstruction"))
+    noisy, restored = (
+        patch["psnr_db"][k]["contact"]["mean"] for k in ("noisy", "reconstruction")
+    )
     assert text(page, '[data-tile="gain"] h2') == "PSNR gain in contact"
     assert text(page, '[data-tile="frames"] strong') == "450"
     assert text(page, '[data-tile="frames"] span') == "of 450, 0 lost"
     trust = patch["trust"]["contact"]
     shown = f"mean {noisy:.1f} → {restored:.1f} dB"
     if trust is not None:
-        percent = min(99, round(100 * trust["trusted_share"])) if trust["untrusted"] else 100
+        percent = (
+            min(99, round(100 * trust["trusted_share"])) if trust["untrusted"] else 100
+        )
         shown = f"{noisy:.1f} → {restored:.1f} dB, {percent} % trusted"
     assert text(page, '[data-tile="gain"] span') == shown
-    assert text(page, '[data-tile="latency"] strong') == f"{patch['latency_ms']['p50']:.1f} ms"
+    assert (
+        text(page, '[data-tile="latency"] strong')
+        == f"{patch['latency_ms']['p50']:.1f} ms"
+    )
     assert text(page, '[data-tile="compression"] strong') == f"{patch['ratio']:.2f} : 1"
 
 
@@ -337,7 +388,9 @@ def frames():
 
 def test_a_skin_whose_baseline_is_old_is_tared_from_the_page(start, page, tmp_path):
     (tmp_path / "old_skin.py").write_text(OLD_SKIN)
-    sent = SkinDescription("old", 4, 6, 50.0, unit="N", baseline=np.full((4, 6), 35.0), noise=1.0)
+    sent = SkinDescription(
+        "old", 4, 6, 50.0, unit="N", baseline=np.full((4, 6), 35.0), noise=1.0
+    )
     save_skin(tmp_path / "old.toml", sent)
     open_page(
         start, page, "replay", "--set", "sensor.source=old_skin:frames",
@@ -354,7 +407,9 @@ def test_a_skin_whose_baseline_is_old_is_tared_from_the_page(start, page, tmp_pa
     wait_until(lambda: text(page, button) == "Tare", "the button")
     # Found and clicked in one call: the page may draw the button anew between two.
     page.execute_script("document.querySelector(arguments[0]).click()", button)
-    wait_until(lambda: answer(page, "launch").startswith("✓ tared: "), "the end of the tare")
+    wait_until(
+        lambda: answer(page, "launch").startswith("✓ tared: "), "the end of the tare"
+    )
     assert "forces changed by at most" in answer(page, "launch")
     assert text(page, button) == "Tare"
     assert page.find_element("css selector", button).is_enabled()
@@ -363,11 +418,15 @@ def test_a_skin_whose_baseline_is_old_is_tared_from_the_page(start, page, tmp_pa
 
 def test_a_replay_is_paused_stepped_and_sought(start, page, tmp_path):
     every = ("--set", "reconstructor.depth=0")
-    program = start("launch", "path_40", "--frames", "300", "--record", "path.mcap", *every)
+    program = start(
+        "launch", "path_40", "--frames", "300", "--record", "path.mcap", *every
+    )
     assert program.finish()[0] == 0
     with BagReader(tmp_path / "path.mcap") as bag:
         # On a busy host they are not 5 ms apart.
-        stamps_ns = sorted(message.stamp_ns for message in bag.messages(["/skin/taxels"]))
+        stamps_ns = sorted(
+            message.stamp_ns for message in bag.messages(["/skin/taxels"])
+        )
     open_page(start, page, "replay_taxels", "--set", "player.file=path.mcap", "--set",
               "player.rate=0.2")  # fmt: skip
     pause = '[data-pause="player"]'
@@ -379,7 +438,9 @@ def test_a_replay_is_paused_stepped_and_sought(start, page, tmp_path):
     played = frames_played(page, stamps_ns)
     wait_until(lambda: frames_shown(page) == played, "the frames before the pause")
     before = int(drawn(page))
-    (step,) = (b for b in page.find_elements("css selector", "button") if b.text == "Step")
+    (step,) = (
+        b for b in page.find_elements("css selector", "button") if b.text == "Step"
+    )
     step.click()
     wait_until(lambda: frames_played(page, stamps_ns) == played + 1, "one frame more")
     wait_until(lambda: frames_shown(page) == played + 1, "its place in the count")
@@ -389,7 +450,9 @@ def test_a_replay_is_paused_stepped_and_sought(start, page, tmp_path):
         "seek.value = 1; seek.dispatchEvent(new Event('change'));"
     )
     wait_until(lambda: answer(page, "player") == "✓ at 1.00 s", "the answer")
-    wait_until(lambda: text(page, "[data-position]").startswith("1.0 of"), "the position")
+    wait_until(
+        lambda: text(page, "[data-position]").startswith("1.0 of"), "the position"
+    )
 
 
 def test_the_address_with_its_token_opens_the_page_and_is_not_kept(start, page):

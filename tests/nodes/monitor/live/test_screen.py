@@ -5,7 +5,14 @@ import pytest
 from bags import PHI
 from feeds import FakeTime, Graph, graph_state, node_state
 
-from sparseskin.messages import Measurements, PhiState, Reason, Reconstruction, Taxels, Truth
+from sparseskin.messages import (
+    Measurements,
+    PhiState,
+    Reason,
+    Reconstruction,
+    Taxels,
+    Truth,
+)
 from sparseskin.nodes.clock import ManualClock
 from sparseskin.nodes.monitor.live.feed import STALE_S, Feed
 from sparseskin.nodes.monitor.live.notices import (
@@ -24,7 +31,10 @@ from sparseskin.nodes.monitor.table import summary_table
 from sparseskin.nodes.node import Context
 
 SHAPE = (4, 6)
-STATUS = "skin: 50 frames, 50 Hz, lost 0 | PSNR of contact frames 40.0 dB (taxels 20.0) | " * 2
+STATUS = (
+    "skin: 50 frames, 50 Hz, lost 0 | PSNR of contact frames 40.0 dB (taxels 20.0) | "
+    * 2
+)
 ERROR_N = (0.25, 0.025)
 """Of the taxels and of what is restored: 20 dB and 40 dB for a range of 2.5 N."""
 
@@ -39,12 +49,25 @@ def filled(clock, n_frames=50):
     graph = Graph()
     graph.skin(n_rows=SHAPE[0], n_cols=SHAPE[1], mask=None, source="a scene")
     head = {"patch": "skin", "run_id": "0" * 16}
-    fields = {"kind": "sbhe", "n": 24, "m": 8, "block": 8, "seed": 0, "fingerprint": PHI}
+    fields = {
+        "kind": "sbhe",
+        "n": 24,
+        "m": 8,
+        "block": 8,
+        "seed": 0,
+        "fingerprint": PHI,
+    }
     graph.take(PhiState(**head, stamp_ns=0, **fields))
     truth = np.zeros(SHAPE, np.float32)
     truth[1, 4] = 2.0
     noisy, restored = (truth + np.float32(error) for error in ERROR_N)
-    rest = {"phi": PHI, "iterations": 30, "residual": 0.0, "solve_ns": 2_000_000, "done_ns": 0}
+    rest = {
+        "phi": PHI,
+        "iterations": 30,
+        "residual": 0.0,
+        "solve_ns": 2_000_000,
+        "done_ns": 0,
+    }
     for k in range(n_frames):
         clock.advance(0.01)
         of_frame = {**head, "seq": k, "stamp_ns": 1000 * k}
@@ -71,7 +94,9 @@ def test_status_and_figures_are_those_of_the_line_and_of_the_summary(clock):
     assert " ".join(lines[: -len(table)]).endswith(STATUS.strip())
 
 
-def test_a_frame_that_is_not_to_be_trusted_is_marked_for_as_long_as_a_person_needs(clock):
+def test_a_frame_that_is_not_to_be_trusted_is_marked_for_as_long_as_a_person_needs(
+    clock,
+):
     graph = filled(clock)
     graph.skin()
     graph.n["skin"] = 50
@@ -89,7 +114,9 @@ def test_a_frame_that_is_not_to_be_trusted_is_marked_for_as_long_as_a_person_nee
 
 
 @pytest.mark.parametrize("reason", ["", "uniform", *Reason])
-def test_the_mark_of_a_frame_names_its_reason_on_as_many_lines_as_it_needs(clock, reason):
+def test_the_mark_of_a_frame_names_its_reason_on_as_many_lines_as_it_needs(
+    clock, reason
+):
     name = "left_forearm_of_a_body"
     graph = Graph(name)
     graph.skin(name)
@@ -97,7 +124,10 @@ def test_the_mark_of_a_frame_names_its_reason_on_as_many_lines_as_it_needs(clock
     text = " ".join(" ".join(lines_of(graph)).split())
     phrases = {"": "", "uniform": ': unknown reason "uniform"'}
     phrase = phrases[reason] if reason in phrases else f": {Reason(reason).phrase}"
-    assert f"!! {name}: not trusted{phrase} {STATUS}".split() == text[text.index("!!") :].split()
+    assert (
+        f"!! {name}: not trusted{phrase} {STATUS}".split()
+        == text[text.index("!!") :].split()
+    )
 
 
 @pytest.mark.parametrize(
@@ -114,7 +144,12 @@ def test_the_mark_of_a_frame_names_its_reason_on_as_many_lines_as_it_needs(clock
     ],
 )
 def test_each_other_host_is_a_line(clock, changes, told):
-    unknown = {"heard": None, "silent": [], "clock_offset_ms": None, "clock_uncertainty_ms": None}
+    unknown = {
+        "heard": None,
+        "silent": [],
+        "clock_offset_ms": None,
+        "clock_uncertainty_ms": None,
+    }
     graph = filled(clock)
     assert not any(line.startswith("host") for line in lines_of(graph))
     graph.feed.update(graph=graph_state(hosts={"edge": unknown | changes}))
@@ -125,7 +160,9 @@ def test_each_other_host_is_a_line(clock, changes, told):
 
 def test_long_names_fit_and_a_monitor_in_text_mode_has_the_screen_as_its_status(clock):
     graph = filled(clock)
-    nodes = [node_state(f"node_{k}_" + "x" * 24, condition="restarting") for k in range(12)]
+    nodes = [
+        node_state(f"node_{k}_" + "x" * 24, condition="restarting") for k in range(12)
+    ]
     state = graph_state(*nodes, name="n" * 100, recording="r" * 100 + ".mcap")
     graph.feed.update(graph=state)
     graph.skin(source="s" * 200)
@@ -143,20 +180,27 @@ def test_notices_are_at_the_top_and_what_is_bad_stands_out(clock):
     graph = filled(clock)
     assert lines_of(graph)[0].endswith(" live")
     paused = node_state("sensor", condition="paused", commands={"pause": ""})
-    graph.feed.update(graph=graph_state(paused | {"state": {"paused": True}}, recording="a.mcap"))
+    graph.feed.update(
+        graph=graph_state(paused | {"state": {"paused": True}}, recording="a.mcap")
+    )
     lines = lines_of(graph)
     assert lines[0].endswith(" live")
     assert lines[1] == "recording a.mcap"
     assert " * sensor is paused." in lines
     clock.advance(0.5)
-    graph.feed.update(graph=graph_state(node_state("sensor", condition="not answering")))
+    graph.feed.update(
+        graph=graph_state(node_state("sensor", condition="not answering"))
+    )
     clock.advance(0.5)
     graph.feed.pulse()
     lines = lines_of(graph)
     assert lines[0].startswith("sparseskin  a_graph ")
     assert lines[0].endswith(" FAULT")
     assert lines[1] == "sensor: not answering"
-    assert lines[2:4] == ["!! sensor: not answering.", "!! stale: no new frame for 0.5 s."]
+    assert lines[2:4] == [
+        "!! sensor: not answering.",
+        "!! stale: no new frame for 0.5 s.",
+    ]
 
 
 PAUSE = {"pause": "acquire no frame"}
@@ -207,13 +251,17 @@ def test_until_frames_are_reconstructed_that_is_reported(monkeypatch):
     assert desk.look() == [(BAD, "frames are sensed, none is reconstructed.")]
 
 
-@pytest.mark.parametrize(("rate_hz", "stale_s"), [(0.0, 0.2), (1000.0, 0.2), (5.0, 0.5)])
+@pytest.mark.parametrize(
+    ("rate_hz", "stale_s"), [(0.0, 0.2), (1000.0, 0.2), (5.0, 0.5)]
+)
 def test_stale_is_older_than_200_ms_and_2_5_periods(monkeypatch, rate_hz, stale_s):
     desk = Desk(FakeTime(monkeypatch))
     desk.graph.skin(rate_hz=rate_hz)
     desk.graph.frame()
     assert desk.look(0.99 * stale_s) == []
-    assert desk.look(0.02 * stale_s) == [(BAD, f"stale: no new frame for {ago(1.01 * stale_s)}.")]
+    assert desk.look(0.02 * stale_s) == [
+        (BAD, f"stale: no new frame for {ago(1.01 * stale_s)}.")
+    ]
     desk.graph.frame()
     assert desk.look() == []
 
@@ -222,11 +270,15 @@ def test_frames_that_are_sensed_but_no_longer_reconstructed_are_stale(desk):
     for _ in range(50):
         desk.clock.advance(0.01)
         desk.graph.frame(upto=3)
-    assert desk.look() == [(BAD, "stale: frames are sensed, none reconstructed for 0.5 s.")]
+    assert desk.look() == [
+        (BAD, "stale: frames are sensed, none reconstructed for 0.5 s.")
+    ]
 
 
 def test_a_paused_graph_is_not_stale(desk):
-    desk.news(node_state("sensor", commands=PAUSE, state={"paused": True}, condition="paused"))
+    desk.news(
+        node_state("sensor", commands=PAUSE, state={"paused": True}, condition="paused")
+    )
     assert desk.look(GRAPH_S / 2) == [(NOTE, "sensor is paused.")]
     desk.news(node_state("sensor", commands=PAUSE, state={"paused": False}))
     desk.graph.frame()
@@ -275,7 +327,9 @@ def test_refusals_are_reported_for_some_seconds_with_their_reason(desk):
     ]
 
 
-def test_a_node_in_trouble_is_named_as_long_as_it_is_and_a_restart_noted_for_some_seconds(desk):
+def test_a_node_in_trouble_is_named_as_long_as_it_is_and_a_restart_noted_for_some_seconds(
+    desk,
+):
     def news(restarts, condition, after_s=0.0):
         desk.clock.advance(after_s)
         desk.news(node_state("sensor", restarts=restarts, condition=condition))
@@ -284,7 +338,9 @@ def test_a_node_in_trouble_is_named_as_long_as_it_is_and_a_restart_noted_for_som
 
     assert news(0, "running") == []
     for _ in range(2):  # as long as it is
-        assert news(0, "not answering", 2 * RECENT_S) == [(BAD, "sensor: not answering.")]
+        assert news(0, "not answering", 2 * RECENT_S) == [
+            (BAD, "sensor: not answering.")
+        ]
     assert news(1, "restarting") == [(BAD, "sensor: restarting.")]
     assert news(1, "running", 1.0) == [(NOTE, "sensor was restarted.")]
     assert news(1, "running", RECENT_S) == []
@@ -294,7 +350,9 @@ def test_the_start_of_a_graph_is_no_fault_and_is_counted_until_all_nodes_run(des
     def news(*conditions, compiled=None, restarts=0):
         desk.news(
             *(
-                node_state(f"node_{k}", condition=word, compiled=compiled, restarts=restarts)
+                node_state(
+                    f"node_{k}", condition=word, compiled=compiled, restarts=restarts
+                )
                 for k, word in enumerate(conditions)
             )
         )
@@ -303,7 +361,9 @@ def test_the_start_of_a_graph_is_no_fault_and_is_counted_until_all_nodes_run(des
     assert news("running", "starting") == [(START, "starting: 1 of 2 nodes")]
     line = "starting: compiling once on this machine, 3 of 10"
     assert news("starting", "running", compiled=(3, 10)) == [(START, line)]
-    assert screen(desk.feed, Notices(desk.feed), "").split("\n")[0].endswith(" starting")
+    assert (
+        screen(desk.feed, Notices(desk.feed), "").split("\n")[0].endswith(" starting")
+    )
     assert (START, line) not in news("running", "running")
     assert desk.feed.start is None
 
@@ -321,7 +381,10 @@ def test_old_news_and_a_busy_monitor_are_reported(desk):
     desk.graph.frame()
     assert desk.look() == [(BAD, "No state of the nodes has arrived for 12 s.")]
     now_s = desk.clock.advance(3.0)
-    assert Notices(desk.feed).all(now_s)[0] == (BAD, "The monitor has not responded for 3.0 s.")
+    assert Notices(desk.feed).all(now_s)[0] == (
+        BAD,
+        "The monitor has not responded for 3.0 s.",
+    )
 
 
 def test_measurements_that_are_left_out_are_reported_while_they_are(desk):

@@ -42,7 +42,9 @@ class Site:
         """One request with exactly these headers; "_" in a name stands for "-"."""
         client = HTTPConnection(self.host, timeout=60.0)
         self._clients.append(client)
-        client.putrequest(method, path, skip_host="Host" in headers, skip_accept_encoding=True)
+        client.putrequest(
+            method, path, skip_host="Host" in headers, skip_accept_encoding=True
+        )
         for name, value in headers.items():
             client.putheader(name.replace("_", "-"), value)
         client.endheaders(body)
@@ -50,7 +52,10 @@ class Site:
 
     def post(self, body=None, **headers):
         body = json.dumps(GOOD).encode() if body is None else body
-        given = {"Content_Type": "application/json", "Content_Length": str(len(body))} | headers
+        given = {
+            "Content_Type": "application/json",
+            "Content_Length": str(len(body)),
+        } | headers
         return self.send("POST", "/request", body, **given).status
 
     def connect(self, sent=""):
@@ -77,7 +82,9 @@ def site():
 @pytest.fixture
 def make():
     with contextlib.ExitStack() as stack:
-        yield lambda *patches, **k: stack.enter_context(contextlib.closing(Site(*patches, **k)))
+        yield lambda *patches, **k: stack.enter_context(
+            contextlib.closing(Site(*patches, **k))
+        )
 
 
 @pytest.fixture
@@ -97,13 +104,23 @@ def test_every_file_of_the_page_is_served_as_it_is(site):
         for rule in ("default-src 'none'", "frame-ancestors 'none'"):
             assert rule in response.headers["Content-Security-Policy"]
     assert site.send("GET", "/").read() == (PAGE / "index.html").read_bytes()
-    assert site.send("GET", "/main.js").headers["Content-Type"].startswith("text/javascript")
+    assert (
+        site.send("GET", "/main.js")
+        .headers["Content-Type"]
+        .startswith("text/javascript")
+    )
 
 
 @pytest.mark.parametrize(
     "path",
     [
-        *("/../server.py", "/%2e%2e/server.py", "//etc/passwd", "/server.py", "/index.html/"),
+        *(
+            "/../server.py",
+            "/%2e%2e/server.py",
+            "//etc/passwd",
+            "/server.py",
+            "/index.html/",
+        ),
         *("/index.html%00", "/%69ndex.html", "/..\\server.py", "/request"),
     ],
 )
@@ -128,7 +145,9 @@ def test_a_request_of_the_page_is_passed_on(site, asked):
     assert site.post(Origin=f"http://{site.host}") == 202
     extra = json.dumps({**GOOD, "value": {"m": 4}, "more": "not passed on"}).encode()
     assert site.post(extra) == 202
-    no_value = json.dumps({key: GOOD[key] for key in ("id", "node", "command")}).encode()
+    no_value = json.dumps(
+        {key: GOOD[key] for key in ("id", "node", "command")}
+    ).encode()
     assert site.post(no_value, Content_Type="application/json; charset=utf-8") == 202
     assert asked == [GOOD, GOOD, {**GOOD, "value": {"m": 4}}, {**GOOD, "value": None}]
 
@@ -170,7 +189,9 @@ def test_who_knows_no_token_gets_nothing_and_is_obeyed_in_nothing(make):
         for path in ("/", "/main.js", "/stream", "/stream?patch=skin", "/nothing"):
             both = "&" if "?" in path else "?"
             assert site.send("GET", path, Cookie=cookie).status == 403
-            wrong = site.send("GET", f"{path}{both}token={shown if shown.isascii() else 'x'}")
+            wrong = site.send(
+                "GET", f"{path}{both}token={shown if shown.isascii() else 'x'}"
+            )
             assert wrong.status == 403
             assert wrong.headers["Set-Cookie"] is None
             assert b"open the address that the graph has printed" in wrong.read()
@@ -201,7 +222,9 @@ def test_what_a_page_of_another_site_asks_for_is_refused(site, asked):
     assert site.post(Sec_Fetch_Site=origin) == 403
     assert asked == []
     assert site.post(Sec_Fetch_Site="same-origin") == 202
-    assert site.send("GET", "/", Sec_Fetch_Site=origin).status == 200  # a link to the page
+    assert (
+        site.send("GET", "/", Sec_Fetch_Site=origin).status == 200
+    )  # a link to the page
 
 
 @pytest.mark.parametrize("length", ["Content-Length: {}", "Transfer-Encoding: chunked"])
@@ -243,7 +266,10 @@ def test_a_browser_is_started_without_the_token_in_its_arguments(monkeypatch, tm
     page = tmp_path / "7.0.html"
     page.write_text("left by a monitor that was killed")
     context = Context(
-        *("monitor", ManualClock()), ask=lambda request: None, page_token=TOKEN, page_file=str(page)
+        *("monitor", ManualClock()),
+        ask=lambda request: None,
+        page_token=TOKEN,
+        page_file=str(page),
     )
     monitor = Monitor(MonitorSettings(port=0, browser=True), context)
     monitor.start()
@@ -284,7 +310,9 @@ def test_no_more_than_64_pages_are_open_at_once(make):
     assert refused.read() == b"64 pages are open already; close one of them\n"
     streams[7].close()
     site._clients[7].close()
-    wait_until(lambda: site.send("GET", "/stream").status == 200, "the room of a closed page")
+    wait_until(
+        lambda: site.send("GET", "/stream").status == 200, "the room of a closed page"
+    )
 
 
 def test_where_the_port_is_busy_another_is_taken(make):

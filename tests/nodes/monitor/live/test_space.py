@@ -44,7 +44,9 @@ HEIGHT_M = 0.5
 def torso(n_rows: int = 50, n_cols: int = 80, seed: int = 0) -> np.ndarray:
     """A point of each cell around a torso, x to the front, z up: metres and outward normals."""
     rng = np.random.default_rng(seed)
-    rows, cols = np.indices((n_rows, n_cols)).reshape(2, -1) + rng.uniform(0.3, 0.7, (2, 1))
+    rows, cols = np.indices((n_rows, n_cols)).reshape(2, -1) + rng.uniform(
+        0.3, 0.7, (2, 1)
+    )
     rows, cols = (each + rng.uniform(-0.2, 0.2, each.shape) for each in (rows, cols))
     angle = 2 * np.pi * cols / n_cols
     height = rows / n_rows
@@ -58,7 +60,9 @@ def torso(n_rows: int = 50, n_cols: int = 80, seed: int = 0) -> np.ndarray:
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
     normals[:, 2] = 1.2 * np.clip(height - 0.7, 0, 1) / 0.3
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
-    return np.concatenate([np.stack([x, y, z], axis=1), normals], axis=1).astype(np.float32)
+    return np.concatenate([np.stack([x, y, z], axis=1), normals], axis=1).astype(
+        np.float32
+    )
 
 
 def pressed(
@@ -96,12 +100,21 @@ def opened(page, points):
     graph = Graph()
     rows = np.arange(len(points), dtype=np.int32)[::-1].copy()
     graph.skin(
-        n_rows=N_ROWS, n_cols=N_COLS, mask=MASK, points=points, point_rows=rows, pitch_m=0.011
+        n_rows=N_ROWS,
+        n_cols=N_COLS,
+        mask=MASK,
+        points=points,
+        point_rows=rows,
+        pitch_m=0.011,
     )
     with served(graph, page):
         yield graph
         # That readings of pixels are slow is a remark, and no error.
-        errors = [each["message"] for each in page.get_log("browser") if each["level"] == "SEVERE"]
+        errors = [
+            each["message"]
+            for each in page.get_log("browser")
+            if each["level"] == "SEVERE"
+        ]
         assert not [text for text in errors if "ERR_" not in text]
 
 
@@ -179,7 +192,9 @@ def settled(page):
     wait_until(lambda: bool(run(page, fine)), "the fine picture")
 
 
-def test_a_contact_is_a_ring_at_its_place_which_is_faint_on_the_far_side(page, graph, points):
+def test_a_contact_is_a_ring_at_its_place_which_is_faint_on_the_far_side(
+    page, graph, points
+):
     middle = (
         "const [m, e] = ['canvas', 'ellipse.contact'].map((which) => document.querySelector("
         "  `[data-panel=reconstruction] ${which}`)?.getBoundingClientRect());"
@@ -188,18 +203,27 @@ def test_a_contact_is_a_ring_at_its_place_which_is_faint_on_the_far_side(page, g
         "  return (e[a] + e[side] / 2 - m[a]) / m[side]; });"
     )
     for at, normal in ((FRONT, 1.0), (BACK, -1.0)):
-        place = {"place_mm": 1e3 * np.array([at], np.float32), "area": np.array([30], np.int32)}
+        place = {
+            "place_mm": 1e3 * np.array([at], np.float32),
+            "area": np.array([30], np.int32),
+        }
         press(graph, points, FRONT)
-        one = replace(contacts(1), stamp_ns=graph.feed.patches["skin"].stamp_ns, **place)
+        one = replace(
+            contacts(1), stamp_ns=graph.feed.patches["skin"].stamp_ns, **place
+        )
         graph.take(replace(one, normal=np.array([[normal, 0, 0]], np.float32)))
         far = "return document.querySelectorAll('ellipse.contact.far').length"
-        wait_until(lambda: run(page, far) == (normal < 0) and run(page, middle), "the ring")  # noqa: B023
+        is_behind = normal < 0
+        placed = lambda: run(page, far) == is_behind and run(page, middle)  # noqa: B023, E731
+        wait_until(placed, "the ring")
         if normal > 0:
             _, x, y = pixels(page, VIRIDIS_TOP)
             assert run(page, middle) == pytest.approx([x, y], abs=0.05)
 
 
-def test_the_pressed_place_has_the_colour_of_its_force_and_a_drag_turns_it_away(page, graph):
+def test_the_pressed_place_has_the_colour_of_its_force_and_a_drag_turns_it_away(
+    page, graph
+):
     settled(page)
     before = image(page)
     (n, middle, _) = pixels(page, VIRIDIS_TOP)
@@ -217,10 +241,14 @@ def test_the_pressed_place_has_the_colour_of_its_force_and_a_drag_turns_it_away(
     for _ in range(2):
         drag(page, width(page) // 2 - 10)
     wait_until(lambda: pixels(page, VIRIDIS_TOP)[0] == 0, "the other side")
-    wait_until(lambda: "100 % of the contact on the far side" in figures(page), "its share")
+    wait_until(
+        lambda: "100 % of the contact on the far side" in figures(page), "its share"
+    )
     run(page, ZOOM)
     wait_until(lambda: "on the near side" in figures(page), "the side of the contact")
-    wait_until(lambda: abs(pixels(page, VIRIDIS_TOP)[1] - 0.5) < 0.05, "it in the middle")
+    wait_until(
+        lambda: abs(pixels(page, VIRIDIS_TOP)[1] - 0.5) < 0.05, "it in the middle"
+    )
     assert pixels(page, VIRIDIS_TOP)[0] > 2 * n
     run(page, ZOOM)
     settled(page)
@@ -229,10 +257,15 @@ def test_the_pressed_place_has_the_colour_of_its_force_and_a_drag_turns_it_away(
 
 def test_faulty_taxels_are_struck_out_where_they_are_seen(page, graph, points):
     cells = np.flatnonzero(MASK)
-    faulty = [int(cells[np.linalg.norm(points[:, :3] - p, axis=1).argmin()]) for p in (FRONT, BACK)]
+    faulty = [
+        int(cells[np.linalg.norm(points[:, :3] - p, axis=1).argmin()])
+        for p in (FRONT, BACK)
+    ]
     node = {**NODE, "patch": "skin", "state": {"faulty_taxels": faulty}}
     graph.feed.update(graph=graph_state(node_state("reconstructor", **node)))
-    crosses = "return document.querySelectorAll('[data-panel=reconstruction] .faulty').length"
+    crosses = (
+        "return document.querySelectorAll('[data-panel=reconstruction] .faulty').length"
+    )
     wait_until(lambda: run(page, crosses) == 1, "the one on the near side")
     run(page, CHOOSE, "view", "grid")
     wait_until(lambda: run(page, crosses) == 2, "both on the grid")
@@ -267,21 +300,31 @@ def test_keys_and_wheel_turn_and_zoom_all_maps_alike(page, graph):
     wait_until(lambda: pixels(page, VIRIDIS_TOP)[0] > 3 * n, "a larger place")
 
 
-def test_the_taxel_under_the_pointer_is_named_with_its_place_and_forces(page, graph, points):
+def test_the_taxel_under_the_pointer_is_named_with_its_place_and_forces(
+    page, graph, points
+):
     from selenium.webdriver.common.action_chains import ActionChains
 
     k = int(np.argmax(pressed(points, FRONT, PEAK_N, RADIUS_M)))
     row = len(points) - 1 - k
     run(page, ZOOM)
     settled(page)
-    wait_until(lambda: abs(pixels(page, VIRIDIS_TOP)[1] - 0.5) < 0.05, "it in the middle")
+    wait_until(
+        lambda: abs(pixels(page, VIRIDIS_TOP)[1] - 0.5) < 0.05, "it in the middle"
+    )
     canvas = page.find_element("css selector", "canvas[data-map=reconstruction]")
     _, x, y = pixels(page, VIRIDIS_TOP)
-    offset = [round((at - 0.5) * canvas.rect[side]) for at, side in ((x, "width"), (y, "height"))]
+    offset = [
+        round((at - 0.5) * canvas.rect[side])
+        for at, side in ((x, "width"), (y, "height"))
+    ]
     ActionChains(page).move_to_element_with_offset(canvas, *offset).perform()
     shown = "return document.getElementById('under-pointer').innerText"
     where = ", ".join(f"{1000 * v:.1f}" for v in points[k, :3])
-    wait_until(lambda: f"taxel {row} at {where} mm: truth 2.0000" in run(page, shown), "its values")
+    wait_until(
+        lambda: f"taxel {row} at {where} mm: truth 2.0000" in run(page, shown),
+        "its values",
+    )
     assert "reconstruction 2.0000" in run(page, shown)
     rings = "return document.querySelectorAll('#maps ellipse').length"
     assert run(page, rings) >= 2
@@ -315,7 +358,10 @@ def test_patches_of_a_body_stand_at_their_poses_with_what_they_do(page, points):
         def is_pressed():
             graph.frame("front", unchanged=True)
             graph.frame("back", forces=np.zeros((1, 5, 7), np.float32), unchanged=True)
-            return run(page, now, "front") == "pressed" and run(page, now, "back") == "idle"
+            return (
+                run(page, now, "front") == "pressed"
+                and run(page, now, "back") == "idle"
+            )
 
         wait_until(is_pressed, "what each does")
         assert run(page, now, "torso") == "no frame yet"

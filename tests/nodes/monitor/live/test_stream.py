@@ -14,16 +14,29 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as st_numpy
 
-from sparseskin.messages import Labels, Measurements, Reason, Reconstruction, Taxels, Truth
+from sparseskin.messages import (
+    Labels,
+    Measurements,
+    Reason,
+    Reconstruction,
+    Taxels,
+    Truth,
+)
 from sparseskin.nodes.monitor.live.feed import UNTRUSTED_S
 from sparseskin.nodes.monitor.live.notices import Notices
 from sparseskin.nodes.monitor.live.stream import MOST, StreamReader, record
 from sparseskin.nodes.monitor.statistics import COLUMNS
 
 VALUES = (
-    st.none() | st.booleans() | st.integers(-(2**53), 2**53) | st.floats() | st.text(max_size=9)
+    st.none()
+    | st.booleans()
+    | st.integers(-(2**53), 2**53)
+    | st.floats()
+    | st.text(max_size=9)
 )
-HEADERS = st.dictionaries(st.text(max_size=9), VALUES | st.lists(VALUES, max_size=4), max_size=4)
+HEADERS = st.dictionaries(
+    st.text(max_size=9), VALUES | st.lists(VALUES, max_size=4), max_size=4
+)
 ARRAYS = st.dictionaries(
     st.text(max_size=8),
     st_numpy.arrays(
@@ -60,7 +73,9 @@ class Page:
 
 
 def only(records, kind):
-    (found,) = [(header, arrays) for header, arrays in records if header["kind"] == kind]
+    (found,) = [
+        (header, arrays) for header, arrays in records if header["kind"] == kind
+    ]
     return found
 
 
@@ -74,7 +89,9 @@ def test_the_state_has_the_newest_label_and_since_when_none_has_come(clock):
     graph.skin()
     graph.frame()
     assert stated() is None
-    label = Labels(stamp_ns=1, patch="skin", label="peg", share=0.75, age_s=2.0, done_ns=1)
+    label = Labels(
+        stamp_ns=1, patch="skin", label="peg", share=0.75, age_s=2.0, done_ns=1
+    )
     graph.feed.frame("skin", label, None)
     shown = stated()
     assert shown.pop("silent_s") == pytest.approx(PULL_S)
@@ -113,7 +130,12 @@ def test_the_skin_comes_first_and_once(clock):
     graph.skin()
     graph.frame()
     records = page.pull()
-    assert [header["kind"] for header, _ in records] == ["state", "skin", "maps", "rows"]
+    assert [header["kind"] for header, _ in records] == [
+        "state",
+        "skin",
+        "maps",
+        "rows",
+    ]
     header, arrays = only(records, "skin")
     assert header["n_rows"] == N_ROWS
     assert header["n_cols"] == N_COLS
@@ -147,7 +169,9 @@ def test_maps_that_go_together_are_of_one_frame(clock):
         (y,) = next(m.y for m in whole if isinstance(m, Measurements))
         # For the eye: within half a step of 1/127 of the largest.
         largest = np.abs(y).max()
-        np.testing.assert_allclose(maps["measurements"] / 127, y / largest, atol=0.501 / 127)
+        np.testing.assert_allclose(
+            maps["measurements"] / 127, y / largest, atol=0.501 / 127
+        )
         for name, kind in by_name.items():
             (message,) = [m for m in whole if isinstance(m, kind)]
             np.testing.assert_array_equal(maps[name], message.forces[0])
@@ -189,13 +213,23 @@ def test_a_stalled_reader_holds_no_more_than_the_newest_frame(clock):
 
 def test_an_overview_brings_the_reconstructed_maps_of_all_patches_and_no_rows(clock):
     graph = Graph("left", "right")
-    last = {patch: (graph.skin(patch), graph.frame(patch))[1] for patch in ("left", "right")}
+    last = {
+        patch: (graph.skin(patch), graph.frame(patch))[1] for patch in ("left", "right")
+    }
     records = Page(graph, clock, None).pull()
-    assert [header["kind"] for header, _ in records] == ["state", "skin", "maps", "skin", "maps"]
+    assert [header["kind"] for header, _ in records] == [
+        "state",
+        "skin",
+        "maps",
+        "skin",
+        "maps",
+    ]
     maps = {h["patch"]: arrays for h, arrays in records if h["kind"] == "maps"}
     for patch, messages in last.items():
         assert list(maps[patch]) == ["reconstruction"]
-        np.testing.assert_array_equal(maps[patch]["reconstruction"], messages[-1].forces[0])
+        np.testing.assert_array_equal(
+            maps[patch]["reconstruction"], messages[-1].forces[0]
+        )
 
 
 def test_contacts_come_with_their_frame_and_each_event_once(clock, monkeypatch):
@@ -213,7 +247,10 @@ def test_contacts_come_with_their_frame_and_each_event_once(clock, monkeypatch):
     assert found["id"] == [1, 2]
     assert found["sum"] == 5.0
     assert found["trusted"]
-    assert only(records, "events")[1]["rows"][:, 1:].tolist() == [[1, 0, 0, 0], [2, 0, 0, 0]]
+    assert only(records, "events")[1]["rows"][:, 1:].tolist() == [
+        [1, 0, 0, 0],
+        [2, 0, 0, 0],
+    ]
     assert page.kinds() == ["state"]
     graph.frame()
     graph.take(contacts(3))
@@ -253,7 +290,12 @@ def test_the_end_is_reported_at_once_and_ends_the_stream(clock):
     graph.answer()
     graph.close()  # at the same moment: nothing else is due
     headers = parsed(next(records))
-    assert [header["kind"] for header, _ in headers] == ["answer", "state", "maps", "rows"]
+    assert [header["kind"] for header, _ in headers] == [
+        "answer",
+        "state",
+        "maps",
+        "rows",
+    ]
     assert headers[1][0]["closed"] is True
     assert list(records) == []
 
@@ -272,7 +314,11 @@ def test_a_reader_that_waits_is_woken_by_a_frame_an_answer_and_the_end():
     threading.Thread(target=read, daemon=True).start()
     while kinds.get(timeout=60.0) != "skin":
         pass
-    for news, kind in ((graph.frame, "rows"), (graph.answer, "answer"), (graph.close, "end")):
+    for news, kind in (
+        (graph.frame, "rows"),
+        (graph.answer, "answer"),
+        (graph.close, "end"),
+    ):
         news()
         while kinds.get(timeout=60.0) != kind:
             pass

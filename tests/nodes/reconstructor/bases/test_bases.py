@@ -36,7 +36,10 @@ def haar_by_definition(image):
     return pyramid
 
 
-@given(name=st.sampled_from(sorted(BASES)), shape=st.tuples(st.integers(1, 40), st.integers(1, 40)))
+@given(
+    name=st.sampled_from(sorted(BASES)),
+    shape=st.tuples(st.integers(1, 40), st.integers(1, 40)),
+)
 def test_every_basis_of_any_size_is_orthonormal(name, shape):
     check_basis(make_basis(name, *shape))
 
@@ -44,12 +47,16 @@ def test_every_basis_of_any_size_is_orthonormal(name, shape):
 @pytest.mark.parametrize("shape", [(1, 1), (31, 1), (5, 7), (12, 32)])
 def test_haar_is_its_definition(shape):
     image = normal(shape)
-    assert HaarBasis(*shape).analysis(image) == pytest.approx(haar_by_definition(image), abs=3e-6)
+    assert HaarBasis(*shape).analysis(image) == pytest.approx(
+        haar_by_definition(image), abs=3e-6
+    )
 
 
 def test_wrong_shapes_and_types_are_named():
     basis = make_basis("haar", 5, 7)
-    with pytest.raises(SolverError, match=r"image has shape \(7, 5\); expected \(5, 7\)"):
+    with pytest.raises(
+        SolverError, match=r"image has shape \(7, 5\); expected \(5, 7\)"
+    ):
         basis.analysis(normal((7, 5)))
     with pytest.raises(SolverError, match=r"coefficients has shape \(35,\)"):
         basis.synthesis(normal((35,)))

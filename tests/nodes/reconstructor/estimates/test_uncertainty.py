@@ -32,17 +32,23 @@ def held(preset, body):
     block, rule = (PAPER_BLOCK, RANDOM) if preset == "paper" else (BLOCK, SUMS)
     phi = make_phi("sbhe", n, n // 3, 0, block, rule)
     solver = make_solver(name, phi, make_basis(chosen["basis"], *shape))
-    uncertainty = Uncertainty(solver.mask, phi.ratio, solver_class(name).calibrated, rule=rule)
+    uncertainty = Uncertainty(
+        solver.mask, phi.ratio, solver_class(name).calibrated, rule=rule
+    )
     within = np.zeros(truth.shape, np.bool_)
     for k, y in enumerate(phi.forward(noisy(truth).reshape(-1, n))):
         forces = solver.solve(y)
         residual = float(np.sqrt(np.mean((phi.forward(forces.reshape(-1)) - y) ** 2)))
-        within[k] = np.abs(forces - truth[k]) <= 1.645 * uncertainty.update(forces, residual)
+        within[k] = np.abs(forces - truth[k]) <= 1.645 * uncertainty.update(
+            forces, residual
+        )
     touched = truth > 0.01
     return float(within[touched].mean()), float(within[~touched].mean())
 
 
-@pytest.mark.parametrize(("preset", "body"), [*(("skin", body) for body in HELD), ("paper", "peg")])
+@pytest.mark.parametrize(
+    ("preset", "body"), [*(("skin", body) for body in HELD), ("paper", "peg")]
+)
 def test_bands_hold_nine_tenths_of_the_touched_taxels_of_a_press(preset, body):
     touched, untouched = held(preset, body)
     least, most = HELD[body]
@@ -59,7 +65,9 @@ def test_deviations_scale_with_the_range_of_the_skin_and_are_0_without_a_taxel()
     for frame in frames:
         sd = small.update(frame, 0.02)
         assert sd[2, 3] == 0
-        np.testing.assert_allclose(large.update(1000 * frame, 20.0), 1000 * sd, rtol=1e-4)
+        np.testing.assert_allclose(
+            large.update(1000 * frame, 20.0), 1000 * sd, rtol=1e-4
+        )
 
 
 def deviations_by_definition(frame, r, factor):
@@ -80,7 +88,9 @@ def test_the_first_frame_is_the_definition_on_all_edges_of_the_skin():
     frame[:3, :2] += 0.5
     frame[6:, 4:] += 0.5
     factor, power = SkinSolver.calibrated[SUMS]["fixed"]
-    sd = Uncertainty(np.ones((9, 7), np.bool_), 3.0, SkinSolver.calibrated).update(frame, 0.02)
+    sd = Uncertainty(np.ones((9, 7), np.bool_), 3.0, SkinSolver.calibrated).update(
+        frame, 0.02
+    )
     expected = deviations_by_definition(frame, 0.02, factor * 3.0**power)
     assert (sd > 0).all()
     np.testing.assert_allclose(sd, expected, rtol=1e-4)

@@ -74,16 +74,24 @@ def test_a_change_of_some_blocks_alone_is_no_offset(data, offset, sign):
     watch = OffsetWatch(LEAST_SD)
     rows = watch.rows_of(PHI)
     blocks = range(len(rows.starts))
-    changed = data.draw(st.sets(st.sampled_from(blocks), min_size=1, max_size=len(blocks) - 1))
+    changed = data.draw(
+        st.sets(st.sampled_from(blocks), min_size=1, max_size=len(blocks) - 1)
+    )
     change = np.where(np.isin(rows.block, [*changed]), np.float32(sign * offset), 0)
     assert watch.look(PHI, innovation(0) + change) == 0.0
 
 
-@pytest.mark.parametrize(("side", "is_told_apart"), [(16, False), (32, True), (40, True)])
+@pytest.mark.parametrize(
+    ("side", "is_told_apart"), [(16, False), (32, True), (40, True)]
+)
 @pytest.mark.parametrize("ratio", [2, 3, 8])
-def test_an_offset_is_told_from_forces_on_skins_of_four_blocks(side, ratio, is_told_apart):
+def test_an_offset_is_told_from_forces_on_skins_of_four_blocks(
+    side, ratio, is_told_apart
+):
     watch = OffsetWatch(LEAST_SD)
-    for phi in row_subsets(make_phi("sbhe", side**2, side**2 // ratio, seed=0), ROTATING):
+    for phi in row_subsets(
+        make_phi("sbhe", side**2, side**2 // ratio, seed=0), ROTATING
+    ):
         assert watch.rows_of(phi).is_told_apart == is_told_apart
 
 
@@ -95,7 +103,9 @@ def test_on_a_skin_of_one_block_no_offset_is_subtracted():
 @pytest.mark.parametrize("rows", ["fixed", "rotating"])
 @pytest.mark.parametrize("offset", [-0.7, 0.1, 5.0])
 def test_frames_with_an_offset_are_those_without(rows, offset):
-    edge, plain, spoilt = (Stream((SIDE, SIDE), rows=rows, sigmas=SIGMAS) for _ in range(3))
+    edge, plain, spoilt = (
+        Stream((SIDE, SIDE), rows=rows, sigmas=SIGMAS) for _ in range(3)
+    )
     for k, frame in enumerate(noisy(DISC)):
         y = edge.compress(frame)
         expected = plain.reconstruct(y)
@@ -104,5 +114,7 @@ def test_frames_with_an_offset_are_those_without(rows, offset):
         if k < 20:
             continue
         error = np.linalg.norm(found - DISC[k]) / np.linalg.norm(DISC[k])
-        assert error < 1.5 * np.linalg.norm(expected - DISC[k]) / np.linalg.norm(DISC[k])
+        assert error < 1.5 * np.linalg.norm(expected - DISC[k]) / np.linalg.norm(
+            DISC[k]
+        )
         assert spoilt.trusted == plain.trusted

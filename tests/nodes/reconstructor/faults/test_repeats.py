@@ -48,7 +48,9 @@ def test_quantised_measurements_of_one_sign_are_clipped(seed, m, sign):
 
 
 @given(n_subsets=st.integers(1, 4), n_before=st.integers(1, 8))
-def test_a_frame_that_repeats_four_times_is_frozen_whatever_its_rows(n_subsets, n_before):
+def test_a_frame_that_repeats_four_times_is_frozen_whatever_its_rows(
+    n_subsets, n_before
+):
     frames = [noise(k) for k in range(n_before)] + [noise(99)] * (FRAMES + 3)
     found = reasons_of(frames, subsets="abcd"[:n_subsets])
     assert found == [None] * (n_before + FRAMES) + [Reason.FROZEN] * 3
@@ -74,7 +76,9 @@ def test_frames_that_are_delivered_several_times_are_not_marked(n_times):
 
 
 @given(
-    presses=st.lists(st.tuples(st.booleans(), st.integers(1, 30)), min_size=1, max_size=6),
+    presses=st.lists(
+        st.tuples(st.booleans(), st.integers(1, 30)), min_size=1, max_size=6
+    ),
     subsets=st.sampled_from(["a", "abc"]),
 )
 def test_a_skin_whose_untouched_taxels_read_zero_is_never_marked(presses, subsets):
@@ -91,7 +95,9 @@ def test_a_skin_whose_untouched_taxels_read_zero_is_never_marked(presses, subset
 
 
 def test_a_skin_that_states_no_noise_shows_it():
-    found = reasons_of([noise(k) for k in range(LEARNING + 1)] + [noise(99)] * 6, least_sd=0.0)
+    found = reasons_of(
+        [noise(k) for k in range(LEARNING + 1)] + [noise(99)] * 6, least_sd=0.0
+    )
     assert found[-2:] == [Reason.FROZEN] * 2
 
 

@@ -43,7 +43,9 @@ class Watched:
     def __init__(self, **settings):
         self.lines = []
         self.subsets = row_subsets(PHI, "rotating")
-        self.solver = make_rotating_solver("skin", self.subsets, make_basis("haar", *SHAPE))
+        self.solver = make_rotating_solver(
+            "skin", self.subsets, make_basis("haar", *SHAPE)
+        )
         self.solver.noise_sd = LEAST_SD
         self.solver.noise_model = NOISE
         noise = Noise(F_MAX, LEAST_SD)
@@ -74,7 +76,9 @@ class Plain:
     ("largest", "returned", "reason"),
     [(2.4, 2.4, ""), (2.6, 2.5, ""), (2.74, 2.5, ""), (2.8, 2.8, Reason.RANGE)],
 )
-def test_forces_beyond_the_range_by_more_than_a_tenth_are_marked(largest, returned, reason):
+def test_forces_beyond_the_range_by_more_than_a_tenth_are_marked(
+    largest, returned, reason
+):
     watch = FaultWatch(Noise(F_MAX), SHAPE)
     forces = np.zeros(SHAPE, dtype=np.float32)
     forces[3, 4] = largest
@@ -136,7 +140,9 @@ def test_all_ways_give_the_same_reasons(seed, kind, rows):
     reasons = {}
     for way, stream in WAYS.items():
         answers = [answer for _, answer in stream(world, "off")]
-        reasons[way] = ["lost" if answer is None else answer.reason for answer in answers]
+        reasons[way] = [
+            "lost" if answer is None else answer.reason for answer in answers
+        ]
     assert reasons["graph"] == reasons["Stream"]
     # Arrays have no sensor, which finds readings that repeat, and states one of these.
     sensed = {Reason.STUCK, Reason.FROZEN, Reason.CLIPPED}
@@ -275,7 +281,9 @@ IN_ORDER = [
 def test_of_several_reasons_the_first_is_stated(reasons):
     watch, solver, forces = unclear(reasons)
     verdict = watch.look(solver, PHI, forces)
-    assert verdict.reason == next((reason for reason in IN_ORDER if reason in reasons), "")
+    assert verdict.reason == next(
+        (reason for reason in IN_ORDER if reason in reasons), ""
+    )
 
 
 @pytest.mark.parametrize(

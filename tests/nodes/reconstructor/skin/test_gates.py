@@ -25,7 +25,9 @@ def test_a_tile_is_the_part_that_passes_and_the_sum_of_gated_filters():
     tiles, error = gates.denoise(u.astype(np.float32)[None])
     tile = g[-1] * inner(u) + gates.synthesis @ (a * (g[:-1] - g[-1]))
     np.testing.assert_allclose(tiles[0], np.maximum(tile, 0), atol=1e-4)
-    np.testing.assert_allclose(error, np.exp(gates.error @ h + gates.error_0), rtol=1e-4)
+    np.testing.assert_allclose(
+        error, np.exp(gates.error @ h + gates.error_0), rtol=1e-4
+    )
 
 
 @pytest.mark.parametrize("denoise", [stored_gates().denoise, shrink])
@@ -46,7 +48,9 @@ def test_the_expected_error_of_shrinkage_is_the_true_one(height, spread):
     pad = 20 + height * np.exp(-(row**2 + col**2) / (2 * spread)).reshape(-1)
     noise = np.random.default_rng(0).standard_normal((2000, WINDOW**2))
     tiles, error = shrink((pad + noise).astype(np.float32))
-    np.testing.assert_allclose(np.mean(error), np.mean(np.square(tiles - inner(pad))), rtol=0.02)
+    np.testing.assert_allclose(
+        np.mean(error), np.mean(np.square(tiles - inner(pad))), rtol=0.02
+    )
 
 
 def test_haar_coefficients_of_one_group_are_shrunk_alike():
@@ -55,7 +59,8 @@ def test_haar_coefficients_of_one_group_are_shrunk_alike():
     tiles, _ = shrink(window.reshape(1, -1))
     mean = gain = 2.5 * 8.0  # of the mean, and of the one detail of the coarsest group
     expected = [
-        mean / (1 + (2.5 / mean**2) ** 2) / 8 + sign * gain / (1 + (7.5 / gain**2) ** 2) / 8
+        mean / (1 + (2.5 / mean**2) ** 2) / 8
+        + sign * gain / (1 + (7.5 / gain**2) ** 2) / 8
         for sign in (1, -1)
     ]
     np.testing.assert_allclose(tiles.reshape(8, 8)[[0, -1], 0], expected, atol=1e-5)
@@ -63,7 +68,16 @@ def test_haar_coefficients_of_one_group_are_shrunk_alike():
 
 def written(**changes):
     stored = stored_gates()
-    names = ("filters", "hidden", "hidden_0", "gates", "gates_0", "synthesis", "error", "error_0")
+    names = (
+        "filters",
+        "hidden",
+        "hidden_0",
+        "gates",
+        "gates_0",
+        "synthesis",
+        "error",
+        "error_0",
+    )
     arrays = {name: getattr(stored, name) for name in names} | changes
     return npz(**{name: value for name, value in arrays.items() if value is not None})
 

@@ -62,7 +62,9 @@ def test_from_nothing_it_is_better_than_fista_of_more_iterations():
     truth = sliding_disc((40, 40), 12)[-1]
     y = phi.forward(noisy(truth[None])[0].ravel())
     skin = SkinSolver(phi, HaarBasis(40, 40)).solve(y)
-    fista = FistaSolver(phi, HaarBasis(40, 40), iterations=20, lambda_n=0.00625).solve(y)
+    fista = FistaSolver(phi, HaarBasis(40, 40), iterations=20, lambda_n=0.00625).solve(
+        y
+    )
     assert psnr_db(skin, truth) > psnr_db(fista, truth) + 3
 
 
@@ -77,17 +79,25 @@ def test_few_measurements_in_small_blocks_do_not_make_it_diverge(block):
 
 def test_forces_of_three_measurements_stay_within_those_that_press():
     phis = row_subsets(make_phi("sbhe", 9, 3, seed=0), ROTATING)
-    walk = np.cumsum(np.random.default_rng(0).normal(0, 0.1, (200, 3, 3)), axis=0).clip(0, 1)
+    walk = np.cumsum(np.random.default_rng(0).normal(0, 0.1, (200, 3, 3)), axis=0).clip(
+        0, 1
+    )
     solver = make_rotating_solver("skin", phis, HaarBasis(3, 3))
     assert reconstructed(solver, phis, noisy(walk.astype(np.float32)))[0].max() < 1.5
 
 
-@pytest.mark.parametrize(("rows", "settings"), [(FIXED, {"iterations": 3}), (ROTATING, {})])
+@pytest.mark.parametrize(
+    ("rows", "settings"), [(FIXED, {"iterations": 3}), (ROTATING, {})]
+)
 def test_a_change_of_rounding_stays_one(rows, settings):
-    truth = np.concatenate([np.zeros((15, *SHAPE), np.float32), sliding_disc(SHAPE, 45)])
+    truth = np.concatenate(
+        [np.zeros((15, *SHAPE), np.float32), sliding_disc(SHAPE, 45)]
+    )
     frames = noisy(truth)
     phis = phis_of(rows)
-    frames = np.concatenate([frames, frames[-1:].repeat(9, axis=0), frames[-9:-1]])  # some repeat
+    frames = np.concatenate(
+        [frames, frames[-1:].repeat(9, axis=0), frames[-9:-1]]
+    )  # some repeat
     plain, _ = reconstructed(solver_of(phis, **settings), phis, frames)
     changed, _ = reconstructed(solver_of(phis, **settings), phis, frames, change=1e-7)
     assert np.abs(changed - plain).max() < 1e-4 * plain.max()
@@ -114,7 +124,9 @@ def test_measurements_that_repeat_after_others_are_followed():
     off[3, 3] = 1
     on = off.copy()
     on[10, 10] = 1
-    pressed = np.concatenate([rng.random(60) < 0.5, np.zeros(9, bool), rng.random(18) < 0.3])
+    pressed = np.concatenate(
+        [rng.random(60) < 0.5, np.zeros(9, bool), rng.random(18) < 0.3]
+    )
     frames = np.where(pressed[:, None, None], on, off)
     found, _ = reconstructed(solver_of(phis), phis, frames)
     errors = np.linalg.norm(found - frames, axis=(1, 2))[pressed] / np.linalg.norm(on)
@@ -133,12 +145,16 @@ def test_repeats_of_fixed_rows_lower_the_estimated_error_as_independent_frames_a
 
 
 @pytest.mark.parametrize("rows", [FIXED, ROTATING])
-@pytest.mark.parametrize("settings", [{}, {"iterations": 3}, {"gates": "formula"}, COUNTED])
+@pytest.mark.parametrize(
+    "settings", [{}, {"iterations": 3}, {"gates": "formula"}, COUNTED]
+)
 def test_compiled_steps_are_those_of_numpy_but_for_rounding(settings, rows):
     pytest.importorskip("numba")
     frames = noisy(sliding_disc(SHAPE, 60))
     phis = phis_of(rows)
-    numpy_solver, compiled = (solver_of(phis, fast=fast, **settings) for fast in ("off", "on"))
+    numpy_solver, compiled = (
+        solver_of(phis, fast=fast, **settings) for fast in ("off", "on")
+    )
     plain, errors = reconstructed(numpy_solver, phis, frames)
     found, more = reconstructed(compiled, phis, frames)
     assert np.abs(found - plain).max() < 1e-4 * plain.max()
@@ -170,7 +186,9 @@ def test_errors_are_relative_to_the_range():
     phis = phis_of(ROTATING)
     plain, errors = reconstructed(solver_of(phis), phis, frames)
     scaled, more = reconstructed(solver_of(phis), phis, 4096 * frames)
-    np.testing.assert_allclose(scaled, 4096 * plain, rtol=1e-3, atol=4096 * 1e-4 * plain.max())
+    np.testing.assert_allclose(
+        scaled, 4096 * plain, rtol=1e-3, atol=4096 * 1e-4 * plain.max()
+    )
     np.testing.assert_allclose(more, 4096 * np.array(errors), rtol=1e-2)
 
 
@@ -183,7 +201,9 @@ def test_the_estimated_error_is_near_the_true_one(rows, noise_model):
     solver = solver_of(phis)
     solver.noise_model = noise_model
     found, errors = reconstructed(solver, phis, noisy(truth))
-    np.testing.assert_array_equal(found, reconstructed(solver_of(phis), phis, noisy(truth))[0])
+    np.testing.assert_array_equal(
+        found, reconstructed(solver_of(phis), phis, noisy(truth))[0]
+    )
     true = np.sqrt(np.mean(np.square(found - truth), axis=(1, 2)))
     off = np.abs(np.log(np.array(errors)[20:] / true[20:]))
     assert (np.mean(off[:, None] < np.log([1.5, 2.0]), axis=0) >= [0.8, 0.9]).all()
@@ -194,7 +214,11 @@ def test_of_frames_without_a_past_the_error_is_that_of_rows_that_are_left_out():
     quotients = []
     for seed in range(12):
         rng = np.random.default_rng(seed)
-        load = gaussian_filter(rng.standard_normal(SHAPE), 1.5).clip(0, None).astype(np.float32)
+        load = (
+            gaussian_filter(rng.standard_normal(SHAPE), 1.5)
+            .clip(0, None)
+            .astype(np.float32)
+        )
         phi = make_phi("sbhe", N, N // 6, seed=seed)
         solver = SkinSolver(phi, HaarBasis(*SHAPE))
         found = solver.solve(phi.forward(load.reshape(-1)))
@@ -206,10 +230,14 @@ def test_of_frames_without_a_past_the_error_is_that_of_rows_that_are_left_out():
 
 
 @given(st.floats(-1, 1), st.lists(st.floats(1e-3, 1e3), min_size=1, max_size=20))
-def test_an_error_that_all_forces_share_is_the_regression_of_residuals_on_them(part, powers):
+def test_an_error_that_all_forces_share_is_the_regression_of_residuals_on_them(
+    part, powers
+):
     common = CommonError(SkinTuning())
     for power in powers:
-        settled = Settled(np.zeros(1, np.float32), power, 0, 0, part * power, power, 0, 0, 0)
+        settled = Settled(
+            np.zeros(1, np.float32), power, 0, 0, part * power, power, 0, 0, 0
+        )
         common.follow(settled)
     assert common.value == pytest.approx(abs(part), abs=1e-6)
 
@@ -221,7 +249,9 @@ def test_a_taxel_that_moves_does_not_pass_for_noise(side, ratio, sd):
     for k in range(45):
         truth = np.zeros((side, side), dtype=np.float32)
         truth[side // 3, k % side] = k >= 20
-        read = np.maximum(truth + sd * rng.standard_normal(truth.shape), 0).astype(np.float32)
+        read = np.maximum(truth + sd * rng.standard_normal(truth.shape), 0).astype(
+            np.float32
+        )
         error = np.linalg.norm(stream.reconstruct(stream.compress(read)) - truth)
         assert k < 20 or error < 0.3 or (sd == 0 and not stream.trusted)
 
@@ -244,9 +274,13 @@ def rough_load(side, ratio, n_frames):
     frames = []
     for _ in range(n_frames):
         readings = PAPER.apply(truth, rng)
-        error = float(np.linalg.norm(stream.reconstruct(stream.compress(readings)) - truth))
+        error = float(
+            np.linalg.norm(stream.reconstruct(stream.compress(readings)) - truth)
+        )
         of_reading = error / float(np.linalg.norm(readings - truth))
-        frames.append((of_reading, error / float(np.linalg.norm(truth)), stream.trusted))
+        frames.append(
+            (of_reading, error / float(np.linalg.norm(truth)), stream.trusted)
+        )
     return frames
 
 
@@ -256,7 +290,9 @@ def test_a_rough_load_that_holds_still_is_reached_and_kept(side, ratio):
     frames = rough_load(side, ratio, n_settling + 100)
     of_reading = [error for error, _, _ in frames[n_settling:]]
     assert np.median(of_reading) < 1
-    assert max(of_reading) < 4  # a frame of an estimate that has not converged has 10 and more
+    assert (
+        max(of_reading) < 4
+    )  # a frame of an estimate that has not converged has 10 and more
 
 
 @pytest.mark.parametrize(("side", "ratio"), SIDES_AND_RATIOS)
@@ -307,7 +343,9 @@ def test_what_all_taxels_share_is_seen_in_each_frame_of_rotating_rows(uneven):
     frames = 0.3 + uneven * sliding_disc(SHAPE, 20, touch_at=0)
     found, _ = reconstructed(solver_of(phis), phis, frames.astype(np.float32))
     assert np.abs(found - frames).mean(axis=(1, 2)).max() < 0.1
-    assert found[6:].sum(axis=(1, 2)) == pytest.approx(frames[6:].sum(axis=(1, 2)), rel=0.05)
+    assert found[6:].sum(axis=(1, 2)) == pytest.approx(
+        frames[6:].sum(axis=(1, 2)), rel=0.05
+    )
 
 
 def test_rows_of_any_length_give_the_same_forces():
@@ -385,7 +423,9 @@ def made(kind):
 def test_rows_are_orthonormal_with_a_transpose_and_measure_what_is_read(kind):
     phi = made(kind)
     rows = rows_of(phi)
-    dense = np.stack([rows.forward(one) for one in np.eye(rows.n, dtype=np.float32)], axis=1)
+    dense = np.stack(
+        [rows.forward(one) for one in np.eye(rows.n, dtype=np.float32)], axis=1
+    )
     np.testing.assert_allclose(dense @ dense.T, np.eye(rows.n_rows), atol=1e-4)
     rng = np.random.default_rng(0)
     x = rng.standard_normal(rows.n, dtype=np.float32)
@@ -490,4 +530,8 @@ def test_innovation_and_residual_are_those_of_the_rows_read(fast):
         assert solver.residual.shape == (phi.m,)
         np.testing.assert_array_equal(solver._estimator.vectors.innovation, innovation)
     assert 0 < np.std(solver.residual) < np.std(solver._estimator.vectors.innovation)
-    assert solver.residual.dtype == solver._estimator.vectors.innovation.dtype == np.float32
+    assert (
+        solver.residual.dtype
+        == solver._estimator.vectors.innovation.dtype
+        == np.float32
+    )

@@ -10,7 +10,11 @@ from hypothesis import strategies as st
 from sparseskin.nodes.compressor.phi.base import make_phi
 from sparseskin.nodes.reconstructor.bases.base import make_basis
 from sparseskin.nodes.reconstructor.skin.noise_level import NoiseLevel
-from sparseskin.nodes.reconstructor.skin.prediction import MotionSums, PredictionError, motion_of
+from sparseskin.nodes.reconstructor.skin.prediction import (
+    MotionSums,
+    PredictionError,
+    motion_of,
+)
 from sparseskin.nodes.reconstructor.skin.row_subset import FrameNumbers
 from sparseskin.nodes.reconstructor.skin.trust import (
     CommonError,
@@ -39,7 +43,9 @@ POSITIVE = st.floats(1e-6, 1e3)
 
 def frame(silent=0.0, repeated=0.0, n_read=M):
     values = dict.fromkeys(FrameNumbers._fields, 0.0)
-    return FrameNumbers(**values | {"silent": silent, "repeated": repeated, "n_read": n_read})
+    return FrameNumbers(
+        **values | {"silent": silent, "repeated": repeated, "n_read": n_read}
+    )
 
 
 def settled(**numbers):
@@ -49,7 +55,12 @@ def settled(**numbers):
 
 def innovation(square, repeating):
     values = dict.fromkeys(Innovation._fields, 0.0)
-    sums = {"squares": square * M, "repeating": repeating * M, "n_read": M, "n_known": M}
+    sums = {
+        "squares": square * M,
+        "repeating": repeating * M,
+        "n_read": M,
+        "n_known": M,
+    }
     return Innovation(**values | sums)
 
 
@@ -63,13 +74,19 @@ def test_a_solver_that_has_seen_no_frame_has_made_no_error():
 
 
 @given(noise=POSITIVE, power=POSITIVE, part=st.floats(0.0, 1.0))
-def test_an_error_of_a_quarter_of_the_forces_is_the_largest_that_is_trusted(noise, power, part):
+def test_an_error_of_a_quarter_of_the_forces_is_the_largest_that_is_trusted(
+    noise, power, part
+):
     trust = Trust(TUNING)
     # Neither weak nor explained by noise.
     strong = settled(power=power + noise, residual2=1e9)
-    trust.judge(strong, (part * 0.249) ** 2 * strong.power, noise, 1.0, bias_is_known=True)
+    trust.judge(
+        strong, (part * 0.249) ** 2 * strong.power, noise, 1.0, bias_is_known=True
+    )
     assert trust.holds
-    trust.judge(strong, (0.251 + part) ** 2 * strong.power, noise, 1.0, bias_is_known=True)
+    trust.judge(
+        strong, (0.251 + part) ** 2 * strong.power, noise, 1.0, bias_is_known=True
+    )
     assert not trust.holds
 
 
@@ -87,7 +104,9 @@ def test_an_untouched_skin_is_trusted_if_noise_explains_its_residual(
     power, residual2, bias_is_known, holds
 ):
     trust = Trust(TUNING)
-    trust.judge(settled(power=power, residual2=residual2), 100.0, 1.0, 1.0, bias_is_known)
+    trust.judge(
+        settled(power=power, residual2=residual2), 100.0, 1.0, 1.0, bias_is_known
+    )
     assert trust.holds == holds
     trust.forget()
     assert trust.holds
@@ -98,7 +117,9 @@ def test_noise_that_is_stated_bounds_the_residual_once_the_bias_is_known():
     stated = TaxelNoise(1.0, 0.0, is_stated=True)
     unknown = TaxelNoise(1.0, 0.0, is_stated=False)
     n = 800
-    assert trust.excess(stated, n, bias_is_known=True) == pytest.approx(6 * math.sqrt(2 / n))
+    assert trust.excess(stated, n, bias_is_known=True) == pytest.approx(
+        6 * math.sqrt(2 / n)
+    )
     assert trust.excess(stated, 2, bias_is_known=True) == 1.0
     assert trust.excess(stated, n, bias_is_known=False) == 1.0
     assert trust.excess(unknown, n, bias_is_known=True) == 1.0
@@ -123,7 +144,9 @@ def test_the_noise_after_a_silence_is_no_noise_unless_it_is_stated():
 
 
 @given(noise=POSITIVE, expected2=POSITIVE)
-def test_residuals_of_noise_alone_show_no_error_and_the_expected_one_counts(noise, expected2):
+def test_residuals_of_noise_alone_show_no_error_and_the_expected_one_counts(
+    noise, expected2
+):
     error2 = estimate_error2(Steps(expected2, noise), noise, M, 1.5, 2.0)
     assert error2 == pytest.approx(2 * expected2)
 
@@ -159,7 +182,9 @@ def test_the_error_is_that_part_of_the_distance_from_the_readings_which_is_no_no
 
 
 def test_rows_that_were_not_read_are_as_far_away_as_those_that_are_left_out():
-    distance2 = fit(Steps(0.0, 0.0), read=0.25, part=0.5, residual2=1.0, left_out2=2.0).distance2
+    distance2 = fit(
+        Steps(0.0, 0.0), read=0.25, part=0.5, residual2=1.0, left_out2=2.0
+    ).distance2
     assert distance2 == pytest.approx(0.25 * 1.0 + 0.75 * 2.0 / 0.25)
 
 
@@ -172,11 +197,17 @@ def test_no_error_is_smaller_than_what_no_measurement_can_lower(floor):
 
 
 @pytest.mark.parametrize(("known", "is_kept"), [(1.0, False), (0.5, True)])
-def test_measurements_that_repeat_lower_an_error_of_rows_that_are_never_read_slowly(known, is_kept):
+def test_measurements_that_repeat_lower_an_error_of_rows_that_are_never_read_slowly(
+    known, is_kept
+):
     stated = StatedError(TUNING)
     noise = TaxelNoise(0.0, 0.0, is_stated=True)
-    before2 = stated.follow(fit(Steps(0.5, 0.0), known=known, residual2=1.0), noise, frame())
-    after2 = stated.follow(fit(Steps(0.0, 0.0), known=known), noise, frame(repeated=1.0))
+    before2 = stated.follow(
+        fit(Steps(0.5, 0.0), known=known, residual2=1.0), noise, frame()
+    )
+    after2 = stated.follow(
+        fit(Steps(0.0, 0.0), known=known), noise, frame(repeated=1.0)
+    )
     expected2 = before2 / 2 if is_kept else 0.0
     assert after2 == pytest.approx(expected2, abs=1e-12)
 
@@ -291,7 +322,9 @@ def test_a_clear_motion_is_found(growth, down, across, seed):
 
 @pytest.mark.parametrize(("n_read", "is_found"), [(15, False), (16, True)])
 def test_a_few_measurements_show_no_motion(n_read, is_found):
-    motion = motion_of(moved(np.random.default_rng(0), n_read, growth=0.5), 1e-9, 0.0, TUNING)
+    motion = motion_of(
+        moved(np.random.default_rng(0), n_read, growth=0.5), 1e-9, 0.0, TUNING
+    )
     assert (motion.growth > 0.4) == is_found
 
 
@@ -299,11 +332,15 @@ def test_of_a_change_as_large_as_its_noise_half_is_motion():
     sums = moved(np.random.default_rng(0), 100, growth=0.1)
     noise = 0.1 * sums.a_change / TUNING.motion
     clear = motion_of(sums, 1e-9, 0.0, TUNING).growth
-    assert motion_of(sums, noise, 0.0, TUNING).growth == pytest.approx(clear / 2, rel=0.01)
+    assert motion_of(sums, noise, 0.0, TUNING).growth == pytest.approx(
+        clear / 2, rel=0.01
+    )
 
 
 def test_forces_at_most_double_from_frame_to_frame():
-    motion = motion_of(moved(np.random.default_rng(0), 100, growth=3.0), 1e-9, 0.0, TUNING)
+    motion = motion_of(
+        moved(np.random.default_rng(0), 100, growth=3.0), 1e-9, 0.0, TUNING
+    )
     assert motion.growth == 1.0
     assert motion.bound == 4.0
 
@@ -326,7 +363,9 @@ def test_a_clear_excess_of_the_innovation_is_the_error_of_the_prediction():
 
 def test_innovations_that_point_along_corrections_are_of_correlation_one():
     values = dict.fromkeys(Innovation._fields, 0.0) | {"n_read": M}
-    along = Innovation(**values | {"squares": 4.0, "correction_squares": 9.0, "products": 6.0})
+    along = Innovation(
+        **values | {"squares": 4.0, "correction_squares": 9.0, "products": 6.0}
+    )
     assert along.correlation == pytest.approx(1.0, rel=1e-5)
     assert along.mean_square == 4.0 / M
     without = Innovation(**values | {"squares": 4.0})
@@ -336,7 +375,11 @@ def test_innovations_that_point_along_corrections_are_of_correlation_one():
 # Steps.
 
 
-@given(n_busy=st.integers(0, 5000), frame_tiles=st.integers(1, 40_000), step=st.integers(1, 50))
+@given(
+    n_busy=st.integers(0, 5000),
+    frame_tiles=st.integers(1, 40_000),
+    step=st.integers(1, 50),
+)
 def test_chosen_steps_fit_into_the_time_of_a_frame(n_busy, frame_tiles, step):
     plan = StepPlan(0, 2, 0, frame_tiles, step, 30, 0.0, 0.0)
     chosen = steps_for(plan, n_busy)

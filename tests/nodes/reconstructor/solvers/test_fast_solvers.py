@@ -22,19 +22,25 @@ from sparseskin.nodes.reconstructor.solvers.fast import CompiledFista
 
 def mask_of(shape, n_missing):
     mask = np.ones(shape, dtype=np.bool_)
-    mask.reshape(-1)[np.random.default_rng(0).permutation(mask.size)[:n_missing]] = False
+    mask.reshape(-1)[np.random.default_rng(0).permutation(mask.size)[:n_missing]] = (
+        False
+    )
     return mask
 
 
 def made(name, phi, mask, how, **more):
-    return make_solver(name, phi, make_basis("haar", *mask.shape), mask, fast=how, **more)
+    return make_solver(
+        name, phi, make_basis("haar", *mask.shape), mask, fast=how, **more
+    )
 
 
 @pytest.mark.parametrize(
     ("name", "shape", "n_missing"),
     [("fista", (33, 47), 100), ("fista", (10, 6), 3), ("skin", (15, 21), 20)],
 )
-def test_the_forces_are_those_of_numpy_to_within_10_micronewtons(name, shape, n_missing):
+def test_the_forces_are_those_of_numpy_to_within_10_micronewtons(
+    name, shape, n_missing
+):
     mask = mask_of(shape, n_missing)
     n = int(mask.sum())
     phi = SbhePhi(n, n // 3, 0)

@@ -20,7 +20,10 @@ CHOSEN = "chosen"
 HAS_CHOSEN = "adaptive" in KINDS
 CASES = [
     *(("skin", 18, rows, FORMS[-1]) for rows in (FIXED, ROTATING)),
-    *(("skin", 8, rows, "off") for rows in (ROTATING, *([CHOSEN] if HAS_CHOSEN else []))),
+    *(
+        ("skin", 8, rows, "off")
+        for rows in (ROTATING, *([CHOSEN] if HAS_CHOSEN else []))
+    ),
     *((name, 8, ROTATING, FORMS[-1]) for name in SOLVERS if name != "skin"),
 ]
 
@@ -77,14 +80,22 @@ def test_one_frame_of_garbage_does_not_blind_the_skin(rows, garbage):
         forces = streams[0].press(8 + 0.05 * k, 8)
         noise = rng.normal(scale=0.02, size=forces.shape).astype(np.float32)
         read = np.maximum(forces + noise, 0)
-        spoilt = np.float32(garbage) * rng.random(forces.shape, np.float32) if k == 20 else read
-        found = [stream.frame(y) for stream, y in zip(streams, (read, spoilt), strict=True)]
+        spoilt = (
+            np.float32(garbage) * rng.random(forces.shape, np.float32)
+            if k == 20
+            else read
+        )
+        found = [
+            stream.frame(y) for stream, y in zip(streams, (read, spoilt), strict=True)
+        ]
         off.append([float(np.linalg.norm(one - forces)) for one in found])
     errors = np.mean(off[30:], axis=0)
     assert errors[1] < 1.5 * errors[0]
 
 
-SIZES = st.sampled_from([0.0, 1e-44, 1e-38, 1e-20, 1e-6, 0.02, 1.0, 1e4, 1e12, 1e19, 1e29, -1e12])
+SIZES = st.sampled_from(
+    [0.0, 1e-44, 1e-38, 1e-20, 1e-6, 0.02, 1.0, 1e4, 1e12, 1e19, 1e29, -1e12]
+)
 
 
 @pytest.mark.filterwarnings("error")
@@ -93,12 +104,18 @@ SIZES = st.sampled_from([0.0, 1e-44, 1e-38, 1e-20, 1e-6, 0.02, 1.0, 1e4, 1e12, 1
     rows=st.sampled_from([FIXED, ROTATING, CHOSEN]),
     fast=st.sampled_from(FORMS),
     parts=st.lists(
-        st.tuples(SIZES, st.sampled_from(["zero", "constant", "press", "noise"]), st.booleans()),
+        st.tuples(
+            SIZES,
+            st.sampled_from(["zero", "constant", "press", "noise"]),
+            st.booleans(),
+        ),
         min_size=1,
         max_size=5,
     ),
 )
-def test_streams_of_any_sizes_and_repeats_are_finite_or_refused(name, rows, fast, parts):
+def test_streams_of_any_sizes_and_repeats_are_finite_or_refused(
+    name, rows, fast, parts
+):
     rows = FIXED if rows == CHOSEN and not (name == "skin" and HAS_CHOSEN) else rows
     stream = Stream(name, 8, rows, fast)
     rng = np.random.default_rng(0)

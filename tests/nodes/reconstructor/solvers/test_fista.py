@@ -34,7 +34,9 @@ def matrix_of(basis):
     """Psi, column by column."""
     n = basis.n_rows * basis.n_cols
     units = np.eye(n, dtype=np.float32).reshape(n, basis.n_rows, basis.n_cols)
-    return np.stack([basis.synthesis(u).ravel() for u in units], axis=1).astype(np.float64)
+    return np.stack([basis.synthesis(u).ravel() for u in units], axis=1).astype(
+        np.float64
+    )
 
 
 def dense_fista(A, y, lam, L, iterations, start):
@@ -84,7 +86,9 @@ def test_it_is_the_articles_iteration_however_started(kind, basis, shape, block,
         y = phi.forward(frame[mask])
         if warm is not None:
             theta = psi.T @ warm.ravel().astype(np.float64)
-        theta = dense_fista(A, y.astype(np.float64), solver.lambda_n, phi.lipschitz, 20, theta)
+        theta = dense_fista(
+            A, y.astype(np.float64), solver.lambda_n, phi.lipschitz, 20, theta
+        )
         expected = np.where(mask, np.maximum(psi @ theta, 0).reshape(shape), 0)
         estimate = solver.solve(y, warm)
         assert estimate.dtype == np.float32
@@ -105,10 +109,14 @@ class CountedSteps(FistaSolver):
 
 def test_solve_makes_the_steps_of_a_class_of_ones_own():
     phi = make_phi("sbhe", 256, 100, seed=2)
-    own, plain = (cls(phi, HaarBasis(16, 16), iterations=7) for cls in (CountedSteps, FistaSolver))
+    own, plain = (
+        cls(phi, HaarBasis(16, 16), iterations=7) for cls in (CountedSteps, FistaSolver)
+    )
     for frame in sliding_box((16, 16), 3):
         y = phi.forward(frame.ravel())
-        np.testing.assert_array_equal(own.solve(y, warm=frame), plain.solve(y, warm=frame))
+        np.testing.assert_array_equal(
+            own.solve(y, warm=frame), plain.solve(y, warm=frame)
+        )
     assert own.n_done == 3 * 7
 
 
@@ -134,7 +142,12 @@ def test_many_iterations_reach_the_optimality_conditions(fast):
 def test_preset_paper_is_the_papers_method():
     """Its lambda of 0.1 on rows of +1 and -1 is 0.1 / 32 on orthonormal ones: the same theta."""
     preset = dict(PRESETS["paper"])
-    assert preset == {"solver": "fista", "basis": "haar", "iterations": 30, "lambda_n": 0.1 / 32}
+    assert preset == {
+        "solver": "fista",
+        "basis": "haar",
+        "iterations": 30,
+        "lambda_n": 0.1 / 32,
+    }
     phi = make_phi("sbhe", 256, 85, seed=2)
     basis = make_basis(preset.pop("basis"), 16, 16)
     solver = make_solver(preset.pop("solver"), phi, basis, **preset)
@@ -162,7 +175,11 @@ def test_the_same_bits_with_any_number_of_blas_threads():
     one, two = (
         subprocess.run(
             [sys.executable, "-c", code],
-            env={**os.environ, "OPENBLAS_NUM_THREADS": threads, "OMP_NUM_THREADS": threads},
+            env={
+                **os.environ,
+                "OPENBLAS_NUM_THREADS": threads,
+                "OMP_NUM_THREADS": threads,
+            },
             check=True,
             capture_output=True,
             text=True,
@@ -177,14 +194,24 @@ def test_the_same_bits_with_any_number_of_blas_threads():
     [
         (np.zeros(99), None, r"y has shape \(99,\); expected \(100,\)"),
         (np.full(100, 1e31), None, "too large"),
-        (np.zeros(100), np.zeros(256), r"warm start has shape \(256,\); expected \(16, 16\)"),
-        (np.zeros(100), np.full((16, 16), np.nan), "warm start has values that are not finite"),
+        (
+            np.zeros(100),
+            np.zeros(256),
+            r"warm start has shape \(256,\); expected \(16, 16\)",
+        ),
+        (
+            np.zeros(100),
+            np.full((16, 16), np.nan),
+            "warm start has values that are not finite",
+        ),
     ],
 )
 def test_measurements_and_warm_starts_of_the_wrong_kind_are_named(y, warm, said):
     solver = FistaSolver(make_phi("sbhe", 256, 100, seed=2), HaarBasis(16, 16))
     with pytest.raises(SolverError, match=said):
-        solver.solve(y.astype(np.float32), None if warm is None else warm.astype(np.float32))
+        solver.solve(
+            y.astype(np.float32), None if warm is None else warm.astype(np.float32)
+        )
 
 
 class TooShortLipschitz(HaarBasis):
@@ -212,8 +239,16 @@ def test_an_iteration_that_diverges_is_an_error_and_forgotten():
     [
         ("fista", {"iterations": 2.5}, "iterations = 2.5"),
         ("fista", {"lambda_n": float("inf")}, "lambda_n = inf"),
-        ("fista", {"mask": np.ones((4, 64), np.bool_)}, r"shape \(4, 64\); expected .* \(16, 16\)"),
-        ("fista", {"mask": ring_mask((16, 16))}, "n = 256 taxels; the grid of 16 x 16 has"),
+        (
+            "fista",
+            {"mask": np.ones((4, 64), np.bool_)},
+            r"shape \(4, 64\); expected .* \(16, 16\)",
+        ),
+        (
+            "fista",
+            {"mask": ring_mask((16, 16))},
+            "n = 256 taxels; the grid of 16 x 16 has",
+        ),
         ("fist", {}, 'solver "fist" is not known.*fista'),
         ("no_such_module:Solver", {}, "no_such_module"),
         ("collections:Counter", {}, "no solver: it lacks setup"),

@@ -47,7 +47,9 @@ def test_missing_taxels_are_0_and_the_others_near_the_truth(name, kind):
     phi = make_phi(kind, n, n // 2, seed=1)
     truth = sliding_disc(shape, 20) * mask
     solver = make_solver(name, phi, make_basis("haar", *shape), mask)
-    restored = np.array([solver.solve(y) for y in phi.forward((noisy(truth) * mask)[:, mask])])
+    restored = np.array(
+        [solver.solve(y) for y in phi.forward((noisy(truth) * mask)[:, mask])]
+    )
     assert restored.dtype == np.float32
     assert restored.min() >= 0
     np.testing.assert_array_equal(restored[:, ~mask], 0)
@@ -83,15 +85,21 @@ def test_tiny_skins_work(name, shape, m):
 @pytest.mark.parametrize("name", INVERTING)
 def test_what_cannot_be_made_is_named(name):
     phi = make_phi("sbhe", N, 100, seed=2)
-    with pytest.raises(SolverError, match=f"{name}: iterations = 0 is not allowed; allowed: an"):
+    with pytest.raises(
+        SolverError, match=f"{name}: iterations = 0 is not allowed; allowed: an"
+    ):
         solver_for(name, phi, iterations=0)
-    with pytest.raises(SolverError, match=r'setting "iteration" is not known.*iterations'):
+    with pytest.raises(
+        SolverError, match=r'setting "iteration" is not known.*iterations'
+    ):
         solver_for(name, phi, iteration=3)
 
 
 @pytest.mark.parametrize("lambda_n", [-0.1, np.nan, "0.1"])
 def test_a_lambda_that_is_no_weight_is_named(lambda_n):
-    with pytest.raises(SolverError, match=r"fista: lambda_n = .*a finite number of newtons"):
+    with pytest.raises(
+        SolverError, match=r"fista: lambda_n = .*a finite number of newtons"
+    ):
         solver_for("fista", make_phi("sbhe", N, 100, seed=2), lambda_n=lambda_n)
 
 
@@ -130,7 +138,9 @@ def test_what_fixed_rows_cannot_see_rotating_ones_do():
     truth = np.repeat(sliding_disc(SIDES, 12, touch_at=0)[-1:], 60, axis=0)
     rotating = phases_for(4)
     errors = [
-        psnr_db(restored(solver_of("skin", phases), phases, noisy(truth))[40:], truth[40:])
+        psnr_db(
+            restored(solver_of("skin", phases), phases, noisy(truth))[40:], truth[40:]
+        )
         for phases in (rotating[:1], rotating)
     ]
     assert errors[1] > errors[0] + 1

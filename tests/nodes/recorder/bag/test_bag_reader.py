@@ -155,7 +155,9 @@ def test_a_file_that_changes_while_it_is_read_is_an_error_and_no_force(whole, tm
         next(bag.messages())
 
 
-def test_damage_of_a_bag_that_is_not_checked_whole_is_found_as_it_is_read(whole, tmp_path):
+def test_damage_of_a_bag_that_is_not_checked_whole_is_found_as_it_is_read(
+    whole, tmp_path
+):
     data, payloads = whole
     path = tmp_path / "a.mcap"
     end = chunk_ends(data)[3]
@@ -190,9 +192,14 @@ def test_a_bag_that_another_tool_wrote_anew_can_be_read(whole, tmp_path):
                 if one.topic not in channels:
                     schema = writer.register_schema(f"sparseskin/{one.schema}", "", b"")
                     channels[one.topic] = writer.register_channel(
-                        one.topic, "msgpack", schema, {"schema_version": str(one.version)}
+                        one.topic,
+                        "msgpack",
+                        schema,
+                        {"schema_version": str(one.version)},
                     )
-                writer.add_message(channels[one.topic], one.log_time_ns, one.payload, one.stamp_ns)
+                writer.add_message(
+                    channels[one.topic], one.log_time_ns, one.payload, one.stamp_ns
+                )
             writer.finish()
         with BagReader(path) as bag:
             assert [message.payload for message in bag.messages()] == payloads
@@ -213,7 +220,9 @@ def foreign(path, chunked=True, n=1, version="2", **changes):
         for _ in range(n):
             schema = writer.register_schema(of["schema"], "", b"")
             stated = {"schema_version": version}
-            channel = writer.register_channel(of["topic"], of["encoding"], schema, stated)
+            channel = writer.register_channel(
+                of["topic"], of["encoding"], schema, stated
+            )
             writer.add_message(channel, 1, b"payload", 1)
         writer.finish()
 
@@ -235,7 +244,10 @@ BAD = {
         lambda path: foreign(path, encoding="cdr", schema="std_msgs/msg/String"),
         "ros2 bag play its folder",
     ),
-    "folder of ROS 2": (ros2_folder, "is a folder; expected a recording, NAME.mcap; it is for"),
+    "folder of ROS 2": (
+        ros2_folder,
+        "is a folder; expected a recording, NAME.mcap; it is for",
+    ),
     "Foxglove": (
         lambda path: foreign(path, encoding="protobuf", schema="foxglove.Grid"),
         "Foxglove and Lichtblick open it",
@@ -262,8 +274,14 @@ BAD = {
         lambda path: foreign(path, schema="sparseskin/taxels_batch", version="1"),
         "topic /skin/taxels holds messages of schema 'taxels_batch'; this program reads skin, ",
     ),
-    "unknown schema": (lambda path: foreign(path, schema="sparseskin/smell"), "schema 'smell'"),
-    "topic": (lambda path: foreign(path, topic="/../../etc/passwd"), "expected /PATCH/SCHEMA"),
+    "unknown schema": (
+        lambda path: foreign(path, schema="sparseskin/smell"),
+        "schema 'smell'",
+    ),
+    "topic": (
+        lambda path: foreign(path, topic="/../../etc/passwd"),
+        "expected /PATCH/SCHEMA",
+    ),
 }
 
 
@@ -283,7 +301,11 @@ def test_a_chunk_whose_checksum_was_not_computed_is_read(tmp_path):
     with BagReader(path) as bag:
         n_messages = len(list(bag.messages()))
     with path.open("rb") as file:
-        chunks = [r for r in records(file, len(MAGIC), path.stat().st_size - 8) if r.opcode == 6]
+        chunks = [
+            r
+            for r in records(file, len(MAGIC), path.stat().st_size - 8)
+            if r.opcode == 6
+        ]
     raw = bytearray(path.read_bytes())
     for chunk in chunks:  # after its first and last time and its size
         at = chunk.offset + HEAD_BYTES + 24
@@ -298,13 +320,17 @@ def test_messages_that_no_checksum_protects_are_not_delivered(tmp_path):
     foreign(tmp_path / "a.mcap", chunked=False)
     with BagReader(tmp_path / "a.mcap") as bag:
         assert list(bag.messages()) == []
-        assert bag.recovered.endswith("a message outside the chunks, which no checksum protects")
+        assert bag.recovered.endswith(
+            "a message outside the chunks, which no checksum protects"
+        )
 
 
 def test_messages_without_a_checksum_or_of_a_newer_version_are_not_delivered(tmp_path):
     with BagWriter(tmp_path / "a.mcap", {}) as writer:
         writer.write(BagMessage("/skin/taxels", "taxels", 3, 0, 0, b"x"))
-    with pytest.raises(BagError, match="recorded with taxels version 3; this program reads 2"):
+    with pytest.raises(
+        BagError, match="recorded with taxels version 3; this program reads 2"
+    ):
         BagReader(tmp_path / "a.mcap")
 
 

@@ -7,7 +7,17 @@ from dataclasses import replace
 import mcap.reader
 import numpy as np
 import pytest
-from bags import LAG_NS, PERIOD_NS, PHI, frame, frames, make_bag, on_disk, record, skin_state
+from bags import (
+    LAG_NS,
+    PERIOD_NS,
+    PHI,
+    frame,
+    frames,
+    make_bag,
+    on_disk,
+    record,
+    skin_state,
+)
 from damaged import refusal
 from mcap.records import ChunkIndex, MetadataIndex
 from mcap.writer import Writer
@@ -31,8 +41,12 @@ def test_what_was_written_is_read_back_byte_for_byte_and_in_order(tmp_path):
         assert bag.metadata == {"scene": "test", "seed": "3"}
         assert bag.counts == {"lost": {"/skin/taxels": 2}}
     assert [message.payload for message in found] == payloads
-    assert [message.topic for message in found] == [message.topic for message in messages]
-    assert [message.stamp_ns for message in found] == [message.stamp_ns for message in messages]
+    assert [message.topic for message in found] == [
+        message.topic for message in messages
+    ]
+    assert [message.stamp_ns for message in found] == [
+        message.stamp_ns for message in messages
+    ]
     assert all(message.log_time_ns == message.stamp_ns + LAG_NS for message in found)
     assert [entry.name for entry in tmp_path.iterdir()] == ["a.mcap"]
 
@@ -45,8 +59,12 @@ def test_it_is_an_mcap_that_describes_its_own_schemas(tmp_path):
         summary = reader.get_summary()
         assert len(list(reader.iter_messages())) == 1 + 3 * 4
     assert header.library.startswith("sparseskin ")
-    assert {channel.message_encoding for channel in summary.channels.values()} == {"msgpack"}
-    versions = {c.topic: c.metadata["schema_version"] for c in summary.channels.values()}
+    assert {channel.message_encoding for channel in summary.channels.values()} == {
+        "msgpack"
+    }
+    versions = {
+        c.topic: c.metadata["schema_version"] for c in summary.channels.values()
+    }
     assert versions.pop("/skin/skin") == "1"
     assert set(versions.values()) == {"2"}
     assert {(schema.name, schema.encoding) for schema in summary.schemas.values()} == {
@@ -68,7 +86,9 @@ def test_it_is_an_mcap_that_describes_its_own_schemas(tmp_path):
 def test_every_message_has_a_json_schema_that_names_its_fields(name):
     schema = json_schema(SCHEMAS[name], 1)
     assert schema["properties"]["schema"] == {"const": name}
-    always = [key for key in schema["properties"] if key not in omitted_fields(SCHEMAS[name])]
+    always = [
+        key for key in schema["properties"] if key not in omitted_fields(SCHEMAS[name])
+    ]
     assert schema["required"] == always
     assert {"stamp_ns", "patch", "run_id", "seq"} < schema["properties"].keys()
 
@@ -105,7 +125,11 @@ def test_a_file_that_took_the_name_meanwhile_is_not_overwritten(tmp_path):
 
 @pytest.mark.parametrize(
     ("name", "text"),
-    [("a.bag", "ends in .mcap"), ("none/a.mcap", "folder does not exist"), ("a\0.mcap", "null")],
+    [
+        ("a.bag", "ends in .mcap"),
+        ("none/a.mcap", "folder does not exist"),
+        ("a\0.mcap", "null"),
+    ],
 )
 def test_a_path_that_cannot_be_written_is_named(tmp_path, name, text):
     with pytest.raises(BagError, match=text):
@@ -178,7 +202,10 @@ def test_a_full_disk_is_one_line_and_what_was_written_can_be_read(small_disk):
     assert found == payloads[: len(found)]
     assert len(payloads) - len(found) <= 20
     with BagReader(writer.part) as bag:
-        assert f"up to byte {size} of {size}: it ends there without an index" in bag.recovered
+        assert (
+            f"up to byte {size} of {size}: it ends there without an index"
+            in bag.recovered
+        )
 
 
 def test_a_disk_that_is_full_at_the_end_loses_the_index_alone(small_disk):
@@ -255,7 +282,8 @@ def resealed(data):
 
 
 @pytest.mark.parametrize(
-    "text", [*("null", '{"/skin/taxels": null}', '{"/skin/taxels": {}}', "", "[" * 100_000)]
+    "text",
+    [*("null", '{"/skin/taxels": null}', '{"/skin/taxels": {}}', "", "[" * 100_000)],
 )
 @pytest.mark.parametrize("which", ["topics", "counts"])
 def test_metadata_of_any_json_are_read_past(forged, tmp_path, which, text):
@@ -274,7 +302,9 @@ def test_metadata_of_any_json_are_read_past(forged, tmp_path, which, text):
     ],
 )
 def test_counts_that_cannot_be_are_counted_anew(forged, changes):
-    path = forged(lambda name, v: forged_topics(v, **changes) if name == "topics" else v)
+    path = forged(
+        lambda name, v: forged_topics(v, **changes) if name == "topics" else v
+    )
     with BagReader(path) as bag:
         assert bag.topics["/skin/taxels"].n_messages == N_FRAMES
         assert bag.topics["/skin/taxels"].schema == "taxels"
@@ -294,7 +324,9 @@ def test_one_long_frame_among_short_ones_is_not_padded_without_limit(tmp_path):
     assert list(tmp_path.iterdir()) == [path]
 
 
-@pytest.mark.parametrize("fault", ["metadata beyond the end", "chunks listed again and again"])
+@pytest.mark.parametrize(
+    "fault", ["metadata beyond the end", "chunks listed again and again"]
+)
 def test_an_index_that_cannot_be_is_not_believed(tmp_path, monkeypatch, fault):
     metadata = MetadataIndex.write
     chunk = ChunkIndex.write

@@ -14,7 +14,9 @@ from sparseskin.nodes.recorder.bag.writer import BagWriter
 
 NAMES = ("palm", "back", "sole")
 N_FRAMES = 6
-FORCES = np.random.default_rng(0).random((N_FRAMES, 3, N_ROWS, N_COLS), dtype=np.float32)
+FORCES = np.random.default_rng(0).random(
+    (N_FRAMES, 3, N_ROWS, N_COLS), dtype=np.float32
+)
 """Of each frame and patch."""
 
 
@@ -27,8 +29,19 @@ def reconstructed(k):
     solved = {"iterations": (k,) * 3, "residual": (0.5,) * 3, "solve_ns": (7,) * 3}
     solved |= {"error": (0.25, None, None), "trusted": (True, True, False)}
     return Reconstruction(
-        **{"stamp_ns": k, "patch": "body", "names": NAMES, "seq": k, "done_ns": k + 5, "phi": PHI},
-        **{"forces": FORCES[k][~np.array(unchanged(k))], "unchanged": unchanged(k), **solved},
+        **{
+            "stamp_ns": k,
+            "patch": "body",
+            "names": NAMES,
+            "seq": k,
+            "done_ns": k + 5,
+            "phi": PHI,
+        },
+        **{
+            "forces": FORCES[k][~np.array(unchanged(k))],
+            "unchanged": unchanged(k),
+            **solved,
+        },
     )
 
 
@@ -38,7 +51,9 @@ def bag(tmp_path):
     with BagWriter(path, {}) as writer:
         record(writer, skin_state("body"))
         for k in range(N_FRAMES):
-            record(writer, Taxels(stamp_ns=k, patch="body", names=NAMES, forces=FORCES[k]))
+            record(
+                writer, Taxels(stamp_ns=k, patch="body", names=NAMES, forces=FORCES[k])
+            )
             record(writer, reconstructed(k))
         writer.close({})
     return path
@@ -55,7 +70,9 @@ def test_messages_are_those_of_the_patches_with_what_is_unchanged(bag):
         for p, name in enumerate(NAMES):
             topic = f"/{name}/reconstruction"
             assert split.topics[topic].n_messages == N_FRAMES
-            found = [decode(m.topic.encode(), m.payload) for m in split.messages([topic])]
+            found = [
+                decode(m.topic.encode(), m.payload) for m in split.messages([topic])
+            ]
             for k, message in enumerate(found):
                 same = unchanged(k)[p]
                 np.testing.assert_array_equal(message.forces[0], FORCES[k - same, p])
@@ -80,5 +97,7 @@ def test_exports_are_of_each_patch(bag, tmp_path, capsys):
             assert held["f_max"] == 2.5
         assert (tmp_path / "body_csv" / f"{name}_taxels.csv").is_file()
         np.testing.assert_array_equal(read_recording(bag, name)["forces"], FORCES[:, p])
-    with pytest.raises(SparseskinError, match="has patches back, palm, sole: state one of them"):
+    with pytest.raises(
+        SparseskinError, match="has patches back, palm, sole: state one of them"
+    ):
         read_recording(bag)

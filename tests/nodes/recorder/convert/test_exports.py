@@ -60,7 +60,9 @@ def test_an_npz_names_what_it_holds(rich):
             assert np.array_equal(arrays[name], np.concatenate(maps))
         assert arrays["phi_seed"].tolist() == [7]
         assert arrays["phi_rows"].tolist() == ["fixed"]
-        assert arrays["reconstruction_trusted"].tolist() == [k != 3 for k in range(N_FRAMES)]
+        assert arrays["reconstruction_trusted"].tolist() == [
+            k != 3 for k in range(N_FRAMES)
+        ]
         assert np.isnan(arrays["reconstruction_sd"][0]).all()
         assert np.isfinite(arrays["reconstruction_sd"][1]).all()
         found = [m for m in rich_frames() if isinstance(m, Contacts)]
@@ -69,7 +71,9 @@ def test_an_npz_names_what_it_holds(rich):
             assert np.array_equal(
                 arrays[f"contacts_{name}"], sent_columns, equal_nan=name == "x_mm"
             )
-        assert arrays["contacts_event"].tolist() == ["begin"] * len(arrays["contacts_id"])
+        assert arrays["contacts_event"].tolist() == ["begin"] * len(
+            arrays["contacts_id"]
+        )
         assert arrays["contacts_event_id"].tolist() == arrays["contacts_id"].tolist()
         assert arrays["rate_hz"] == 50.0  # the last state
         sent = [m for m in rich_frames() if isinstance(m, Measurements)]
@@ -102,23 +106,37 @@ def test_an_exported_csv_is_a_table_with_a_header(rich):
     with BagReader(rich) as bag:
         export_csv(bag, rich.with_name("a_csv"))
     sent = [m for m in rich_frames() if isinstance(m, Reconstruction)]
-    table = pandas.read_csv(rich.with_name("a_csv") / "skin_reconstruction.csv", comment="#")
+    table = pandas.read_csv(
+        rich.with_name("a_csv") / "skin_reconstruction.csv", comment="#"
+    )
     assert table["stamp_ns"].tolist() == [m.stamp_ns for m in sent]
     assert table["trusted"].tolist() == [m.trusted[0] for m in sent]
     assert table["error"].isna().tolist() == [m.error[0] is None for m in sent]
     cells = table.loc[:, "r0c0":].to_numpy(np.float32).reshape(-1, N_ROWS, N_COLS)
     assert np.array_equal(cells, np.concatenate([m.forces for m in sent]))
-    contacts = pandas.read_csv(rich.with_name("a_csv") / "skin_contacts.csv", comment="#")
+    contacts = pandas.read_csv(
+        rich.with_name("a_csv") / "skin_contacts.csv", comment="#"
+    )
     frames = [m for m in rich_frames() if isinstance(m, Contacts)]
-    assert contacts["total"].tolist() == [one for m in frames for one in m.total.tolist()]
+    assert contacts["total"].tolist() == [
+        one for m in frames for one in m.total.tolist()
+    ]
     assert contacts["trusted"].tolist() == [m.trusted[0] for m in frames for _ in m.id]
-    assert contacts["x_mm"].notna().tolist() == [m.id.size == 1 for m in frames for _ in m.id]
-    events = pandas.read_csv(rich.with_name("a_csv") / "skin_contacts_events.csv", comment="#")
+    assert contacts["x_mm"].notna().tolist() == [
+        m.id.size == 1 for m in frames for _ in m.id
+    ]
+    events = pandas.read_csv(
+        rich.with_name("a_csv") / "skin_contacts_events.csv", comment="#"
+    )
     assert events["stamp_ns"].tolist() == contacts["stamp_ns"].tolist()
     assert set(events["event"]) == {"begin"}
-    sd = pandas.read_csv(rich.with_name("a_csv") / "skin_reconstruction_sd.csv", comment="#")
+    sd = pandas.read_csv(
+        rich.with_name("a_csv") / "skin_reconstruction_sd.csv", comment="#"
+    )
     expected = np.stack([m.sd for m in sent if m.sd is not None])
-    assert np.array_equal(sd.loc[:, "r0c0":].to_numpy(np.float32).reshape(expected.shape), expected)
+    assert np.array_equal(
+        sd.loc[:, "r0c0":].to_numpy(np.float32).reshape(expected.shape), expected
+    )
 
 
 SIZED = Layout(n_rows=2, n_cols=3, unit="N", f_max=10.0)
@@ -130,10 +148,15 @@ def write_frames(path, lines):
 
 
 def test_an_imported_bag_holds_every_frame_and_is_the_same_each_time(tmp_path):
-    source = write_frames(tmp_path / "a.csv", [f"{k},0,0,0,0,{k + 1}" for k in range(5)])
+    source = write_frames(
+        tmp_path / "a.csv", [f"{k},0,0,0,0,{k + 1}" for k in range(5)]
+    )
     for name in ("one.mcap", "two.mcap"):
         assert import_file(source, tmp_path / name, layout=SIZED) == 5
-    with BagReader(tmp_path / "one.mcap") as one, BagReader(tmp_path / "two.mcap") as two:
+    with (
+        BagReader(tmp_path / "one.mcap") as one,
+        BagReader(tmp_path / "two.mcap") as two,
+    ):
         assert list(one.messages()) == list(two.messages())
         assert one.metadata["imported_from"] == "a.csv"
         (recorded,) = one.messages(["/skin/skin"])
@@ -166,7 +189,9 @@ def test_an_import_that_fails_half_way_leaves_no_part_of_a_bag(tmp_path, monkeyp
     assert [path.name for path in tmp_path.iterdir()] == ["a.csv"]
 
 
-def test_an_import_to_a_full_disk_names_the_bag_and_leaves_nothing(tmp_path, mount_disk):
+def test_an_import_to_a_full_disk_names_the_bag_and_leaves_nothing(
+    tmp_path, mount_disk
+):
     np.save(tmp_path / "a.npy", np.random.default_rng(0).random((200, 40, 40)))
     out = mount_disk("400k") / "q.mcap"
     line = refusal(lambda: import_file(tmp_path / "a.npy", out), BagError)

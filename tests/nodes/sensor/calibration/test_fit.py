@@ -65,7 +65,9 @@ LEVELS = np.linspace(0.1, 2.0, 20)
 
 
 @pytest.mark.parametrize("curve", ["shared", "taxel"])
-def test_a_curve_through_even_loads_is_exact_at_them_and_within_its_chords_between(curve):
+def test_a_curve_through_even_loads_is_exact_at_them_and_within_its_chords_between(
+    curve,
+):
     presses = [even(saturating, force) for force in LEVELS]
     chain = Chain(fit("p", frames(saturating(0)), presses, curve=curve).skin, 0.0)
     for force in LEVELS:
@@ -76,7 +78,9 @@ def test_a_curve_through_even_loads_is_exact_at_them_and_within_its_chords_betwe
         high = force + 0.05
         u = np.array([force - 0.05, high]) / (np.array([force - 0.05, high]) + 1)
         most = 2 / (1 - u[1]) ** 3 * (u[1] - u[0]) ** 2 / 8
-        np.testing.assert_allclose(chain.apply(saturating(force), 0), force, atol=most + 1e-6)
+        np.testing.assert_allclose(
+            chain.apply(saturating(force), 0), force, atol=most + 1e-6
+        )
 
 
 def test_a_curve_that_differs_from_taxel_to_taxel_needs_one_each():
@@ -89,7 +93,9 @@ def test_a_curve_that_differs_from_taxel_to_taxel_needs_one_each():
     worst = {}
     for curve in ("shared", "taxel"):
         found = fit("p", frames(model(0)), presses, curve=curve)
-        worst[curve] = float(np.abs(Chain(found.skin, 0.0).apply(model(1.0), 0) - 1).max())
+        worst[curve] = float(
+            np.abs(Chain(found.skin, 0.0).apply(model(1.0), 0) - 1).max()
+        )
     assert worst["taxel"] < 1e-6 < 0.02 < worst["shared"]
 
 
@@ -101,7 +107,9 @@ def test_totals_give_one_gain_for_all_and_those_that_it_does_not_explain_are_rem
     found = fit("p", frames(BASELINE), [press])
     np.testing.assert_allclose(found.skin.gains, 1 / 500)
     assert found.skin.f_max == pytest.approx(1.25 * 0.7, rel=0.05)
-    assert found.remarks == ["f_max = 0.87 N is 1.25 times the largest force of a press"]
+    assert found.remarks == [
+        "f_max = 0.87 N is 1.25 times the largest force of a press"
+    ]
     loads = [Press(f"{f}N", f * N, frames(saturating(f))) for f in (0.2, 2.0)]
     remarks = fit("p", frames(saturating(0)), loads).remarks
     assert any("off one gain for all" in line for line in remarks)
@@ -122,12 +130,21 @@ def test_a_load_that_moves_is_refused_and_a_touched_skin_remarked():
     moving = frames(linear(0), n=N, sigma=1.0)
     for k in range(N):
         moving[k].flat[k] += 500
-    with pytest.raises(CalibrationError, match=r"1N: the load moves: .* let it stand still"):
-        fit("p", frames(linear(0), sigma=1.0), [Press("1N", 1.0, moving, None)], f_max=2.0)
+    with pytest.raises(
+        CalibrationError, match=r"1N: the load moves: .* let it stand still"
+    ):
+        fit(
+            "p",
+            frames(linear(0), sigma=1.0),
+            [Press("1N", 1.0, moving, None)],
+            f_max=2.0,
+        )
     touched = frames(linear(0), sigma=1.0)
     touched[:4] += 500 * (np.arange(N).reshape(SHAPE) < N // 4)
     found = fit("p", touched, f_max=2.0)
-    assert found.remarks == ["2 % of the untouched readings come and go: was the skin touched?"]
+    assert found.remarks == [
+        "2 % of the untouched readings come and go: was the skin touched?"
+    ]
     assert fit("p", frames(linear(0), sigma=1.0), f_max=2.0).remarks == []
 
 
@@ -144,7 +161,11 @@ def test_stuck_noisy_and_dead_taxels_are_masked():
     assert found.noisy == 1
     assert found.dead == 1
     assert found.skin.mask is not None
-    assert [tuple(cell) for cell in np.argwhere(~found.skin.mask)] == [(0, 0), (1, 1), (2, 2)]
+    assert [tuple(cell) for cell in np.argwhere(~found.skin.mask)] == [
+        (0, 0),
+        (1, 1),
+        (2, 2),
+    ]
     # The dead ones carry their part of the load: the others still measure theirs.
     assert found.presses[0].measured == pytest.approx(N, rel=1e-3)
 
@@ -166,20 +187,33 @@ def test_whole_counts_are_not_stuck_and_taxels_under_no_even_load_get_the_median
     assert found.skin.noise == 0.0
     load = Press("a", 0.5 * 24, frames(linear(0.5)), read_area("0-5x0-3", SHAPE))
     found = fit("p", frames(linear(0)), [load])
-    np.testing.assert_allclose(found.skin.gains[:, 4:], np.median(found.skin.gains[:, :4]))
-    assert "24 taxels lay under no even load: they have the median gain" in found.remarks
+    np.testing.assert_allclose(
+        found.skin.gains[:, 4:], np.median(found.skin.gains[:, :4])
+    )
+    assert (
+        "24 taxels lay under no even load: they have the median gain" in found.remarks
+    )
 
 
 @pytest.mark.parametrize(
     ("change", "line"),
     [
-        ({"untouched": frames(BASELINE)[:1]}, "untouched: 1 frames; at least 2 are needed"),
-        ({"presses": [replace(even(linear, 1.0), frames=np.ones((2, 3, 3)))]}, "frames of shape"),
+        (
+            {"untouched": frames(BASELINE)[:1]},
+            "untouched: 1 frames; at least 2 are needed",
+        ),
+        (
+            {"presses": [replace(even(linear, 1.0), frames=np.ones((2, 3, 3)))]},
+            "frames of shape",
+        ),
         (
             {"presses": [even(linear, 0.5), replace(even(linear, 0.4), force=N)]},
             "readings do not rise with the force of a taxel",
         ),
-        ({"presses": [Press("1N", 1.0, frames(BASELINE))]}, "1N: no taxel reads more than its no"),
+        (
+            {"presses": [Press("1N", 1.0, frames(BASELINE))]},
+            "1N: no taxel reads more than its no",
+        ),
         ({"f_max": None}, "the range is not known"),
     ],
 )
@@ -219,7 +253,9 @@ def still(description):
 
 
 counts = arrays(np.float64, GRID, elements=st.floats(0, 4095))
-gains = arrays(np.float64, GRID, elements=st.floats(1e-4, 1e-2) | st.floats(-1e-2, -1e-4))
+gains = arrays(
+    np.float64, GRID, elements=st.floats(1e-4, 1e-2) | st.floats(-1e-2, -1e-4)
+)
 pressed = arrays(np.float64, GRID, elements=st.floats(0, 2.5))
 
 
@@ -237,7 +273,9 @@ def test_a_tare_is_a_median_so_that_a_short_touch_does_not_count_and_forgets_the
     assert chain.drift.value.any()
     chain.tare([np.full(GRID, 7.0)] * 20 + [np.full(GRID, 900.0)] * 9)
     line = chain.state()["tared"]
-    assert line.startswith("forces changed by at most 7 N, of 12 taxels by more than 5 %")
+    assert line.startswith(
+        "forces changed by at most 7 N, of 12 taxels by more than 5 %"
+    )
     assert not chain.drift.value.any()
     assert (chain.apply(np.full(GRID, 9.0), 0) == 2.0).all()
     first = Chain(skin())
@@ -292,7 +330,9 @@ def run(chain, force, seconds, rate_hz=100.0):
     for k in range(n + 1):
         t = k / rate_hz
         value = force(t) if callable(force) else force
-        found = chain.apply(np.broadcast_to(np.asarray(value, float), GRID), round(t * SECOND))
+        found = chain.apply(
+            np.broadcast_to(np.asarray(value, float), GRID), round(t * SECOND)
+        )
     return found
 
 
@@ -326,7 +366,10 @@ def drift_under_a_light_press(percent, noise, *, drift=0.0, seconds=62.0):
 
 @pytest.mark.parametrize(("percent", "noise"), [(0.3, 0.005), (1.0, 0.0)])
 def test_a_light_press_of_60_s_loses_less_than_1_percent_of_itself(percent, noise):
-    assert drift_under_a_light_press(percent, noise)[PRESSED].mean() <= 0.01 * percent / 100
+    assert (
+        drift_under_a_light_press(percent, noise)[PRESSED].mean()
+        <= 0.01 * percent / 100
+    )
 
 
 @pytest.mark.parametrize("percent", [0.0, 1.0])
@@ -350,7 +393,9 @@ def test_a_slow_drift_is_followed_with_the_lag_of_the_time_constant_and_again_af
     np.testing.assert_allclose(found, 1e-3, rtol=0.02)
 
 
-@pytest.mark.parametrize(("raw", "seconds", "followed"), [(-0.02, 400, -0.02), (-1.0, 2000, -0.25)])
+@pytest.mark.parametrize(
+    ("raw", "seconds", "followed"), [(-0.02, 400, -0.02), (-1.0, 2000, -0.25)]
+)
 def test_a_drift_is_followed_downwards_to_a_tenth_of_the_range(raw, seconds, followed):
     chain = Chain(skin())
     run(chain, raw, seconds, rate_hz=2.0)

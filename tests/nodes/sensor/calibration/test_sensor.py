@@ -15,7 +15,11 @@ from sparseskin.nodes.errors import RefusedError, SettingsError, SourceError
 from sparseskin.nodes.node import Context, Tick
 from sparseskin.nodes.recorder.bag.frames import last_states
 from sparseskin.nodes.recorder.bag.reader import BagReader
-from sparseskin.nodes.sensor.calibration.description import Response, SkinDescription, of_messages
+from sparseskin.nodes.sensor.calibration.description import (
+    Response,
+    SkinDescription,
+    of_messages,
+)
 from sparseskin.nodes.sensor.node import Sensor
 from sparseskin.nodes.sensor.skin_file import load_skin, save_skin
 
@@ -108,7 +112,10 @@ def test_a_tare_at_the_start_takes_its_frames_and_works_without_a_file():
 def test_a_tare_on_command_is_announced_and_published():
     run = Run(skin="palm.toml")
     run.frames(50)
-    assert run.sensor.command("tare", 20) == "the baseline becomes the median of the next 20 frames"
+    assert (
+        run.sensor.command("tare", 20)
+        == "the baseline becomes the median of the next 20 frames"
+    )
     assert run.sensor.state()["tare_left"] == 20
     frames = run.frames(21)
     # The frames of the tare are published with the baseline before.
@@ -124,7 +131,9 @@ def test_a_tare_on_command_is_announced_and_published():
 
 @pytest.mark.usefixtures("folder")
 def test_a_tare_is_refused_without_a_calibration_or_with_a_wrong_number():
-    with pytest.raises(RefusedError, match=r"has no baseline; state sensor\.skin, or sensor\.tare"):
+    with pytest.raises(
+        RefusedError, match=r"has no baseline; state sensor\.skin, or sensor\.tare"
+    ):
         Run().sensor.command("tare", None)
     sensor = Run(skin="palm.toml").sensor
     for value in (0, -1, 10_001, True, "all", 2.5):
@@ -145,12 +154,18 @@ def test_a_recording_that_ends_before_its_tare_says_so():
     ("settings", "line"),
     [
         ({"skin": "plam.toml"}, "skin: plam.toml: no such file"),
-        ({"skin": "palm.toml", "f_max": 1.0}, "f_max: the file of the skin has its own"),
+        (
+            {"skin": "palm.toml", "f_max": 1.0},
+            "f_max: the file of the skin has its own",
+        ),
         ({"skin": "palm.toml", "source": "scene:path_40"}, "skin: a scene has its own"),
         ({"unit": "N\n"}, "expected 1 to 32 printable"),
         ({"skin": "palm.toml", "n_rows": 5}, "leaves a frame of 5 x any taxels"),
         ({"f_min": 0.1}, "f_min: 0.1 is outside"),
-        ({"noise": 0.5}, "noise: is added to true forces alone; state that of readings in"),
+        (
+            {"noise": 0.5},
+            "noise: is added to true forces alone; state that of readings in",
+        ),
     ],
 )
 @pytest.mark.usefixtures("folder")
@@ -158,11 +173,17 @@ def test_wrong_settings_are_refused_in_one_line(settings, line):
     assert line in refusal(lambda: Run(**settings), SettingsError)
 
 
-def test_a_source_of_another_shape_is_refused_and_a_table_of_counts_needs_no_unit(folder):
+def test_a_source_of_another_shape_is_refused_and_a_table_of_counts_needs_no_unit(
+    folder,
+):
     np.save(folder / "small.npy", np.ones((5, 2, 2)))
-    with pytest.raises(SourceError, match=r"describes 3 x 4 taxels, but the source has 2 x 2"):
+    with pytest.raises(
+        SourceError, match=r"describes 3 x 4 taxels, but the source has 2 x 2"
+    ):
         Run(skin="palm.toml", source="file:small.npy")
-    np.savetxt(folder / "counts.csv", np.load("counts.npy").reshape(100, -1), delimiter=",")
+    np.savetxt(
+        folder / "counts.csv", np.load("counts.npy").reshape(100, -1), delimiter=","
+    )
     for negative in ("refuse", "zero"):
         run = Run(source="file:counts.csv", skin="palm.toml", negative=negative)
         np.testing.assert_allclose(run.frames(50)[-1], TRUTH * MASK, atol=1e-4)
@@ -211,7 +232,9 @@ def test_clipped_readings_are_logged_once_and_then_at_most_every_10_s(folder):
     run.sensor.close({})
 
 
-def test_drift_is_followed_only_with_a_calibration_unless_stated_and_can_be_changed(folder):
+def test_drift_is_followed_only_with_a_calibration_unless_stated_and_can_be_changed(
+    folder,
+):
     counts = 0.5 + 0.01 * (np.arange(100) % 2)  # equal frames are of a board that hangs
     np.save(folder / "risen.npy", BASELINE + counts[:, None, None])
     np.save(folder / "risen_forces.npy", np.full((100, *SHAPE), 0.005))
@@ -263,7 +286,19 @@ def test_a_recording_its_table_and_what_is_reprocessed_carry_the_skin(bag, capsy
     table = capsys.readouterr().out
     assert "/skin/calibration" in table
     assert "palm" in table
-    assert main(["reprocess", str(bag), "--out", "again.mcap", "--set", "compressor.ratio=2"]) == 0
+    assert (
+        main(
+            [
+                "reprocess",
+                str(bag),
+                "--out",
+                "again.mcap",
+                "--set",
+                "compressor.ratio=2",
+            ]
+        )
+        == 0
+    )
     with BagReader(Path("again.mcap")) as read:
         assert last_states(read, read.topics)["/skin/skin"]["sigma_end"] == 0.015625
 
@@ -292,7 +327,11 @@ def test_a_recording_without_one_is_refused_in_one_line(tmp_path, monkeypatch, c
 
 @pytest.mark.parametrize("own", [False, True])
 def test_a_message_holds_a_description(own):
-    reading = np.stack([np.full(GRID, 0.5), np.full(GRID, 2.0)]) if own else np.array([0.5, 2.0])
+    reading = (
+        np.stack([np.full(GRID, 0.5), np.full(GRID, 2.0)])
+        if own
+        else np.array([0.5, 2.0])
+    )
     skin = SkinDescription(
         *("a", *GRID, 2.5),
         pitch_mm=2.0,
@@ -300,7 +339,9 @@ def test_a_message_holds_a_description(own):
         response=Response(reading, np.array([1.0, 2.0])),
     )
 
-    state = skin_state("p", **vars(skin.skin), has_truth=False, sigma_mid=0.5, sigma_end=0.5)
+    state = skin_state(
+        "p", **vars(skin.skin), has_truth=False, sigma_mid=0.5, sigma_end=0.5
+    )
     found = of_messages(state, skin.message(0, "p"))
     for field in fields(skin):
         if field.name not in ("response", "noise_mid"):

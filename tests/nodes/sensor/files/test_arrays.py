@@ -53,31 +53,47 @@ def small_blocks(monkeypatch):
 
 @CASES
 @given(array=arrays(), suffix=st.sampled_from([".npy", ".npz", ".packed.npz"]))
-def test_a_drawn_array_whose_axes_are_stated_is_read_as_it_was_written(tmp_path, array, suffix):
-    source = open_bytes(tmp_path, f"a{suffix}", saved(array, suffix), **array.axes_stated)
+def test_a_drawn_array_whose_axes_are_stated_is_read_as_it_was_written(
+    tmp_path, array, suffix
+):
+    source = open_bytes(
+        tmp_path, f"a{suffix}", saved(array, suffix), **array.axes_stated
+    )
     check(source, array, has_times=suffix != ".npy")
 
 
 @CASES
-@given(array=arrays(), suffix=st.sampled_from([".npy", ".npz"]), knows_shape=st.booleans())
+@given(
+    array=arrays(), suffix=st.sampled_from([".npy", ".npz"]), knows_shape=st.booleans()
+)
 def test_without_its_axes_it_is_read_right_or_the_ways_are_named(
     tmp_path, array, suffix, knows_shape
 ):
     stated = array.shape_stated if knows_shape else {}
     opened = []
     text = refusal(
-        lambda: opened.append(open_bytes(tmp_path, f"a{suffix}", saved(array, suffix), **stated)),
+        lambda: opened.append(
+            open_bytes(tmp_path, f"a{suffix}", saved(array, suffix), **stated)
+        ),
         SourceError,
     )
-    if opened and array.is_plain and (knows_shape or (suffix == ".npz" and array.time_name)):
+    if (
+        opened
+        and array.is_plain
+        and (knows_shape or (suffix == ".npz" and array.time_name))
+    ):
         check(opened[0], array, has_times=suffix == ".npz")
     if not opened:
         axes = ",".join(array.axes)
         named = re.findall(r"axes=([a-z,-]+)", text)
-        in_order = axes.replace("cols", "#").replace("rows", "cols").replace("#", "rows")
+        in_order = (
+            axes.replace("cols", "#").replace("rows", "cols").replace("#", "rows")
+        )
         assert axes in named or in_order in named
         check(
-            open_bytes(tmp_path, f"a{suffix}", saved(array, suffix), **array.axes_stated),
+            open_bytes(
+                tmp_path, f"a{suffix}", saved(array, suffix), **array.axes_stated
+            ),
             array,
             has_times=suffix == ".npz",
         )
@@ -91,7 +107,9 @@ def test_without_its_axes_it_is_read_right_or_the_ways_are_named(
     run_bytes=st.integers(1, 64),
     can_seek=st.booleans(),
 )
-def test_blocks_along_any_axis_are_those_of_the_array(array, axis, size, run_bytes, can_seek):
+def test_blocks_along_any_axis_are_those_of_the_array(
+    array, axis, size, run_bytes, can_seek
+):
     stored = array.stored
     by_columns = stored.flags.f_contiguous and not stored.flags.c_contiguous
     stored = stored if by_columns else np.ascontiguousarray(stored)
@@ -165,7 +183,10 @@ class TestTimes:
             {"t_ms": (1000 * T).astype(np.uint16)},
             {"t_left": T, "t_right": T + 1, "stamp_ns": NS, "time": "stamp_ns"},
             {"pad_timestamps": T, "camera_timestamps": T + 3},
-            {"time": np.datetime64("2026-03-01T10:00:00", "us") + (NS // 1000).astype("m8[us]")},
+            {
+                "time": np.datetime64("2026-03-01T10:00:00", "us")
+                + (NS // 1000).astype("m8[us]")
+            },
             {"stamps": [f"2026-03-01T10:00:0{t:.2f}+02:00" for t in T]},
             {"clock": [f"23:59:59.{k:03d}" for k in (0, 20, 40, 500)]},
             {"time": T[:, None], "elapsed": np.arange(9)},
@@ -198,13 +219,19 @@ class TestTimes:
     def test_a_shape_that_contradicts_them_is_refused(self, tmp_path):
         raw = npz(pad=np.ones((6, 4, 3)), time=np.arange(6.0))
         stated = {"n_rows": 6, "n_cols": 4}
-        with pytest.raises(SourceError, match="axis 1 of 6 x 4 x 3 is as long as the times"):
+        with pytest.raises(
+            SourceError, match="axis 1 of 6 x 4 x 3 is as long as the times"
+        ):
             open_bytes(tmp_path, "a.npz", raw, **stated)
-        assert open_bytes(tmp_path, "a.npz", raw, time="none", **stated).frames.shape == (3, 6, 4)
+        assert open_bytes(
+            tmp_path, "a.npz", raw, time="none", **stated
+        ).frames.shape == (3, 6, 4)
 
     @pytest.mark.parametrize("time", [[0, np.nan, 2, 3], [0, 1, np.inf, 3]])
     def test_a_time_that_is_none_is_refused(self, tmp_path, time):
-        with pytest.raises(SourceError, match="array 'time': a time is not a finite number"):
+        with pytest.raises(
+            SourceError, match="array 'time': a time is not a finite number"
+        ):
             open_bytes(tmp_path, "a.npz", npz(pad=FORCES, time=np.array(time, float)))
 
     @pytest.mark.parametrize("place", ["first", "last"])
@@ -216,10 +243,14 @@ class TestTimes:
         source = open_bytes(tmp_path, "a.npy", dates, **shape)
         np.testing.assert_array_equal(source.frames, FORCES.astype(np.float32))
         np.testing.assert_allclose(source.stamp_ns / 1e9, self.T, atol=1e-6)
-        assert f"the {place} column holds dates: it is read as the times" in source.notes
+        assert (
+            f"the {place} column holds dates: it is read as the times" in source.notes
+        )
 
         seconds = npy(np.insert(rows, at, self.T, axis=1))
-        with pytest.raises(SourceError, match=f"one more than taxels are stated: .*time={place}"):
+        with pytest.raises(
+            SourceError, match=f"one more than taxels are stated: .*time={place}"
+        ):
             open_bytes(tmp_path, "a.npy", seconds, **shape)
         source = open_bytes(tmp_path, "a.npy", seconds, time=place, **shape)
         np.testing.assert_allclose(source.stamp_ns / 1e9, self.T)
@@ -233,9 +264,15 @@ class TestChannels:
         ("array", "stated"),
         [
             (XYZ, {"channel": "z", "axes": "rows,cols,channel"}),
-            (np.tile(XYZ, (1, 1, 2, 1))[:, :, :3], {"channel": "z", "n_rows": 2, "n_cols": 3}),
+            (
+                np.tile(XYZ, (1, 1, 2, 1))[:, :, :3],
+                {"channel": "z", "n_rows": 2, "n_cols": 3},
+            ),
             (XYZ, {"channel": "2", "n_rows": 2, "n_cols": 3}),
-            (np.moveaxis(XYZ, -1, 1), {"channel": "2", "axes": "frames,channel,rows,cols"}),
+            (
+                np.moveaxis(XYZ, -1, 1),
+                {"channel": "2", "axes": "frames,channel,rows,cols"},
+            ),
             (np.moveaxis(XYZ, -1, 1), {"channel": "z", "n_rows": 2, "n_cols": 3}),
             (XYZ.reshape(4, 6, 3), {"channel": "z", "n_rows": 2, "n_cols": 3}),
         ],
@@ -245,17 +282,27 @@ class TestChannels:
         np.testing.assert_array_equal(source.frames, (FORCES + 3).astype(np.float32))
 
     def test_none_is_chosen(self, tmp_path):
-        with pytest.raises(SourceError, match="state axes, as rows,cols,channel, and channel"):
+        with pytest.raises(
+            SourceError, match="state axes, as rows,cols,channel, and channel"
+        ):
             open_bytes(tmp_path, "a.npy", npy(self.XYZ))
-        with pytest.raises(SourceError, match="axes=rows,channel,cols or axes=rows,cols,channel"):
+        with pytest.raises(
+            SourceError, match="axes=rows,channel,cols or axes=rows,cols,channel"
+        ):
             open_bytes(tmp_path, "a.npy", npy(self.XYZ), channel="z")
-        source = open_bytes(tmp_path, "a.npy", npy(self.XYZ), axes="rows,cols,channel", channel="z")
+        source = open_bytes(
+            tmp_path, "a.npy", npy(self.XYZ), axes="rows,cols,channel", channel="z"
+        )
         np.testing.assert_array_equal(source.frames, (FORCES + 3).astype(np.float32))
 
 
 class TestNpy:
-    @pytest.mark.parametrize(("dtype", "unit"), [("f4", "N"), ("u2", "counts"), ("i8", "counts")])
-    def test_an_array_alone_has_a_unit_by_its_dtype_and_no_rate(self, tmp_path, dtype, unit):
+    @pytest.mark.parametrize(
+        ("dtype", "unit"), [("f4", "N"), ("u2", "counts"), ("i8", "counts")]
+    )
+    def test_an_array_alone_has_a_unit_by_its_dtype_and_no_rate(
+        self, tmp_path, dtype, unit
+    ):
         source = open_bytes(tmp_path, "skin.npy", npy((10 * FORCES).astype(dtype)))
         assert source.skin.unit == unit
         assert any(unit in line for line in source.notes)
@@ -277,14 +324,29 @@ class TestNpy:
         ("array", "message"),
         [
             (np.zeros(4), r"has 1 axes, 4; expected frames, rows and columns"),
-            (np.zeros((8, 6)), "holds 6 readings, .* shape is not stated: state n_rows and n_cols"),
-            (np.zeros((3, 4, 6)), "axes=frames,rows,cols .3 frames. or axes=rows,frames,cols"),
+            (
+                np.zeros((8, 6)),
+                "holds 6 readings, .* shape is not stated: state n_rows and n_cols",
+            ),
+            (
+                np.zeros((3, 4, 6)),
+                "axes=frames,rows,cols .3 frames. or axes=rows,frames,cols",
+            ),
             (np.zeros((0, 3, 4)), "axes=frames,rows,cols .0 frames"),
             (np.zeros((3, 0)), "holds 0 numbers"),
             (np.zeros((4096, 2048, 1024), "u1")[:1], "2048 x 1024 = 2097152 cells"),
-            (np.zeros((4, 2, 3), complex), "holds dtype complex128; allowed are integers"),
-            (np.zeros(4, [("t", "f8"), ("f", "f4", 9)]), "holds dtype .*; allowed are integers"),
-            (np.zeros((4, 2, 3)), "all readings are 0, so its range is unknown; state f_max"),
+            (
+                np.zeros((4, 2, 3), complex),
+                "holds dtype complex128; allowed are integers",
+            ),
+            (
+                np.zeros(4, [("t", "f8"), ("f", "f4", 9)]),
+                "holds dtype .*; allowed are integers",
+            ),
+            (
+                np.zeros((4, 2, 3)),
+                "all readings are 0, so its range is unknown; state f_max",
+            ),
         ],
     )
     def test_what_is_no_stack_of_frames_is_refused(self, tmp_path, array, message):
@@ -295,10 +357,16 @@ class TestNpy:
     @pytest.mark.parametrize(
         ("stated", "message"),
         [
-            ({"axes": "frames,rows"}, "but the array is 4 x 2 x 3; state each of its 3 axes"),
+            (
+                {"axes": "frames,rows"},
+                "but the array is 4 x 2 x 3; state each of its 3 axes",
+            ),
             ({"axes": "frames,rows,rows"}, "rows is stated twice"),
             ({"axes": "frames,-,cols"}, "axis 2 has 2 entries, - stands for one"),
-            ({"n_rows": 5, "n_cols": 3}, "no axis of 4 x 2 x 3 leaves a frame of 5 x 3 taxels"),
+            (
+                {"n_rows": 5, "n_cols": 3},
+                "no axis of 4 x 2 x 3 leaves a frame of 5 x 3 taxels",
+            ),
             ({"time": "first"}, "time = first, but a frame is no row of numbers"),
             ({"topic": "left"}, "holds no topic 'left'"),
         ],
@@ -315,7 +383,9 @@ class TestNpy:
             (1e39, r"1e\+39 is (above 1e\+30|not finite)"),
         ],
     )
-    def test_what_is_no_reading_is_refused_with_frame_and_cell(self, tmp_path, value, message):
+    def test_what_is_no_reading_is_refused_with_frame_and_cell(
+        self, tmp_path, value, message
+    ):
         array = FORCES.copy()
         array[3, 1, 2] = value
         with pytest.raises(SourceError, match=f"frame 3, row 1, column 2: {message}"):
@@ -348,7 +418,9 @@ class TestNpz:
         assert source.skin.unit == "raw"
         assert source.skin.pitch_m == 0.005
         frames = source.frames
-        np.testing.assert_array_equal(frames[:, mask], FORCES[:, mask].astype(np.float32))
+        np.testing.assert_array_equal(
+            frames[:, mask], FORCES[:, mask].astype(np.float32)
+        )
         assert not frames[:, ~mask].any()
 
     @CASES
@@ -379,7 +451,11 @@ class TestNpz:
 
     @pytest.mark.parametrize(
         ("names", "rate_hz"),
-        [({"fs": 50}, 50), ({"fps": 50.0, "rate": [50]}, 50), ({"fs": 50, "rate": 40}, None)],
+        [
+            ({"fs": 50}, 50),
+            ({"fps": 50.0, "rate": [50]}, 50),
+            ({"fs": 50, "rate": 40}, None),
+        ],
     )
     def test_a_rate_is_read_where_one_is_stated(self, tmp_path, names, rate_hz):
         source = open_bytes(tmp_path, "a.npz", npz(pad=FORCES, **names))
@@ -389,21 +465,45 @@ class TestNpz:
     @pytest.mark.parametrize(
         ("arrays", "message"),
         [
-            ({"a": FORCES, "b": FORCES}, r"a \(4 x 2 x 3\), b \(4 x 2 x 3\); state topic"),
+            (
+                {"a": FORCES, "b": FORCES},
+                r"a \(4 x 2 x 3\), b \(4 x 2 x 3\); state topic",
+            ),
             ({}, "holds no arrays of frames"),
-            ({"forces": FORCES, "mask": np.zeros((2, 3), bool)}, "no cell of the skin is a taxel"),
+            (
+                {"forces": FORCES, "mask": np.zeros((2, 3), bool)},
+                "no cell of the skin is a taxel",
+            ),
             (
                 {"forces": FORCES, "mask": np.ones((4, 3), bool)},
                 "'mask': is 4 x 3, but a frame 2 x",
             ),
-            ({"forces": FORCES, "mask": np.full((2, 3), 7)}, "array 'mask': expected bool"),
-            ({"forces": FORCES, "stamp_ns": [7, 9, 8, 10]}, "the time of frame 3 is before"),
-            ({"forces": FORCES, "rate_hz": -1.0}, "array 'rate_hz': -1 must be above 0"),
+            (
+                {"forces": FORCES, "mask": np.full((2, 3), 7)},
+                "array 'mask': expected bool",
+            ),
+            (
+                {"forces": FORCES, "stamp_ns": [7, 9, 8, 10]},
+                "the time of frame 3 is before",
+            ),
+            (
+                {"forces": FORCES, "rate_hz": -1.0},
+                "array 'rate_hz': -1 must be above 0",
+            ),
             ({"forces": FORCES, "f_max": "2.5"}, "array 'f_max': expected one number"),
-            ({"forces": FORCES, "f_max": 1.0}, "f_max = 1 is below the largest reading, 2.3"),
-            ({"forces": FORCES, "unit": "a\nb"}, "expected 1 to 32 printable characters"),
+            (
+                {"forces": FORCES, "f_max": 1.0},
+                "f_max = 1 is below the largest reading, 2.3",
+            ),
+            (
+                {"forces": FORCES, "unit": "a\nb"},
+                "expected 1 to 32 printable characters",
+            ),
             ({"forces": FORCES, "unit": 3.0}, "array 'unit': expected one text"),
-            ({"forces": np.array([[["a", None]]], dtype=object)}, "holds Python objects"),
+            (
+                {"forces": np.array([[["a", None]]], dtype=object)},
+                "holds Python objects",
+            ),
         ],
     )
     def test_what_an_archive_must_not_hold_is_refused(self, tmp_path, arrays, message):
@@ -426,7 +526,9 @@ class TestNpz:
     def test_arrays_far_larger_than_the_file_are_refused(self, tmp_path, monkeypatch):
         monkeypatch.setattr(arrays_module, "MAX_GROWN_BYTES", 1 << 10)
         raw = npz(forces=np.zeros((1 << 10, 16, 16), "u1"))
-        with pytest.raises(SourceError, match=r"array 'forces' would have \d+ bytes, of a file of"):
+        with pytest.raises(
+            SourceError, match=r"array 'forces' would have \d+ bytes, of a file of"
+        ):
             open_bytes(tmp_path, "skin.npz", raw)
 
 
@@ -441,7 +543,9 @@ def test_random_and_mutated_files_never_raise_anything_else(tmp_path, data, suff
     }[suffix]
     raw = mutated(data, data.draw(st.just(whole) | st.binary(min_size=1, max_size=200)))
     sources = []
-    refusal(lambda: sources.append(open_bytes(tmp_path, f"any.{suffix}", raw)), SourceError)
+    refusal(
+        lambda: sources.append(open_bytes(tmp_path, f"any.{suffix}", raw)), SourceError
+    )
     for source in sources:
         frames = source.frames
         assert np.isfinite(frames).all()
@@ -449,15 +553,25 @@ def test_random_and_mutated_files_never_raise_anything_else(tmp_path, data, suff
 
 
 @pytest.mark.parametrize(("suffix", "order"), [(".npy", "F"), (".npz", "C")])
-def test_a_reading_that_is_refused_is_named_by_the_sensor_with_its_place(tmp_path, suffix, order):
-    forces = np.asarray(np.ones((40, 4, 8), np.float32), order=order)  # some blocks of it
+def test_a_reading_that_is_refused_is_named_by_the_sensor_with_its_place(
+    tmp_path, suffix, order
+):
+    forces = np.asarray(
+        np.ones((40, 4, 8), np.float32), order=order
+    )  # some blocks of it
     forces[38, 3, 7] = np.nan
-    raw = npy(forces) if suffix == ".npy" else npz(forces=forces, mask=np.ones((4, 8)) > 0)
+    raw = (
+        npy(forces)
+        if suffix == ".npy"
+        else npz(forces=forces, mask=np.ones((4, 8)) > 0)
+    )
     path = tmp_path / f"skin{suffix}"
     path.write_bytes(raw)
     find_address(f"file:{path}").check()  # reads the begin alone
     settings = SensorSettings(source=f"file:{path}")
-    shown = refusal(lambda: Sensor(settings, Context("sensor", ManualClock(0))), SourceError)
+    shown = refusal(
+        lambda: Sensor(settings, Context("sensor", ManualClock(0))), SourceError
+    )
     place = f"{path}: frame 38, row 3, column 7: nan is not finite; "
     assert shown.startswith(place)
     assert open_file(path, Layout(nan="zero")).n_frames == 40
@@ -484,13 +598,21 @@ def test_an_npz_may_hold_the_points_of_its_taxels(tmp_path):
     points[:, 0] = (1, 2, 3)
     points[:, 5] = 1
     path = tmp_path / "points.npz"
-    whole = {"forces": np.ones((4, 2, 2)), "mask": mask, "unit": np.array("N"), "points": points}
+    whole = {
+        "forces": np.ones((4, 2, 2)),
+        "mask": mask,
+        "unit": np.array("N"),
+        "points": points,
+    }
     np.savez(path, **whole)
     assert np.array_equal(open_file(path).skin.points, points)
     for wrong, what in (
         (points[:2], "the points are float32 .2, 6., expected float32 .3, 6."),
         (points * 2, "normal 0 has length 2, expected 1"),
-        (np.where(points == 3, np.nan, points).astype(np.float32), "point 2 is not within"),
+        (
+            np.where(points == 3, np.nan, points).astype(np.float32),
+            "point 2 is not within",
+        ),
     ):
         np.savez(path, **{**whole, "points": wrong})
         with pytest.raises(SourceError, match=what):

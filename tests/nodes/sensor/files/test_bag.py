@@ -30,7 +30,9 @@ def test_taxels_are_read_with_their_stamps_and_what_their_skin_states(tmp_path):
     assert head.time_unit == "ns"
     for _ in range(2):
         (block,) = read.blocks()
-        np.testing.assert_array_equal(block.numbers, [frame(k)[0].forces[0] for k in range(90)])
+        np.testing.assert_array_equal(
+            block.numbers, [frame(k)[0].forces[0] for k in range(90)]
+        )
         assert list(block.times) == [k * PERIOD_NS for k in range(90)]
         assert read.tally.text == "90 messages: 90 frames"
 
@@ -49,13 +51,17 @@ def test_readings_that_were_missing_are_no_number(tmp_path):
 
 
 def test_of_several_patches_none_is_chosen(tmp_path):
-    messages = [message for k in range(3) for name in ("a", "b") for message in frame(k, name)]
+    messages = [
+        message for k in range(3) for name in ("a", "b") for message in frame(k, name)
+    ]
     make_bag(tmp_path / "a.mcap", [skin_state("a"), skin_state("b"), *messages])
     with pytest.raises(UnstatedError) as refused:
         recording(tmp_path / "a.mcap").head()
     assert refused.value.options == ({"topic": "/a/taxels"}, {"topic": "/b/taxels"})
     source = open_file(tmp_path / "a.mcap", Layout(topic="/b/taxels"))
-    np.testing.assert_array_equal(source.frames, [frame(k, "b")[0].forces[0] for k in range(3)])
+    np.testing.assert_array_equal(
+        source.frames, [frame(k, "b")[0].forces[0] for k in range(3)]
+    )
     make_bag(tmp_path / "none.mcap", [skin_state()])
     with pytest.raises(SourceError, match="holds no topics of taxels"):
         recording(tmp_path / "none.mcap").head()

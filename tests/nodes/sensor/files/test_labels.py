@@ -10,7 +10,9 @@ from sparseskin.nodes.sensor.files.file_source import open_file
 from sparseskin.nodes.sensor.layout.layout import Layout
 
 FORGIVING = settings(
-    suppress_health_check=[HealthCheck.function_scoped_fixture], deadline=None, max_examples=30
+    suppress_health_check=[HealthCheck.function_scoped_fixture],
+    deadline=None,
+    max_examples=30,
 )
 RATE_LINES = ["Rate: {} Hz", "# fs = {}", "sample_rate,{}", "Frame rate\t{}"]
 RATE_LINES += ["Sampling frequency (Hz): {}"]
@@ -21,7 +23,8 @@ def read(folder, text, shape, **stated):
     (folder / "log.csv").write_bytes(text.encode())
     n_rows, n_cols = shape
     return open_file(
-        folder / "log.csv", Layout(unit="counts", n_rows=n_rows, n_cols=n_cols, **stated)
+        folder / "log.csv",
+        Layout(unit="counts", n_rows=n_rows, n_cols=n_cols, **stated),
     )
 
 
@@ -99,19 +102,27 @@ def test_lines_before_the_table_are_no_rates_of_others(tmp_path, line, rate_hz):
     assert read(tmp_path, text + "\n", (1, 3)).rate_hz == rate_hz
 
 
-@pytest.mark.parametrize("title", ["# t={}", "Frame {} (20 ms)", "Time: 0.0{}", "10:15:02.{}"])
+@pytest.mark.parametrize(
+    "title", ["# t={}", "Frame {} (20 ms)", "Time: 0.0{}", "10:15:02.{}"]
+)
 def test_times_between_the_frames_of_a_grid_are_not_lost(tmp_path, title):
     frames = readings_of(3, (2, 3), 0)
-    parts = ["\n".join([title.format(k), *lines_of(rows)]) for k, rows in enumerate(frames)]
+    parts = [
+        "\n".join([title.format(k), *lines_of(rows)]) for k, rows in enumerate(frames)
+    ]
     text = "\n".join(parts) + "\n"
-    with pytest.raises(SourceError, match="states a time, which is not read; state rate_hz"):
+    with pytest.raises(
+        SourceError, match="states a time, which is not read; state rate_hz"
+    ):
         read(tmp_path, text, (2, 3))
     source = read(tmp_path, text, (2, 3), rate_hz=50)
     np.testing.assert_array_equal(source.frames, frames)
 
 
 @FORGIVING
-@given(shape=st.tuples(st.integers(2, 3), st.integers(2, 4)), first=st.sampled_from([0, 1]))
+@given(
+    shape=st.tuples(st.integers(2, 3), st.integers(2, 4)), first=st.sampled_from([0, 1])
+)
 def test_names_that_count_columns_are_no_frame(tmp_path, shape, first):
     frames = readings_of(5, shape, first)
     names = ",".join(map(str, range(first, first + frames[0].size)))
@@ -126,8 +137,19 @@ def test_names_that_count_columns_are_no_frame(tmp_path, shape, first):
 @pytest.mark.parametrize(
     ("name", "value"),
     [
-        *[("fs", 50), ("Fs", 50), ("sampleRate", 50), ("FPS", 50.0), ("frame_rate_hz", 50)],
-        *[("dt", 0.02), ("Ts", 0.02), ("sample_interval_ms", 20), ("frame_period_s", 0.02)],
+        *[
+            ("fs", 50),
+            ("Fs", 50),
+            ("sampleRate", 50),
+            ("FPS", 50.0),
+            ("frame_rate_hz", 50),
+        ],
+        *[
+            ("dt", 0.02),
+            ("Ts", 0.02),
+            ("sample_interval_ms", 20),
+            ("frame_period_s", 0.02),
+        ],
     ],
 )
 def test_a_number_beside_an_array_states_its_rate(tmp_path, name, value):
@@ -138,7 +160,9 @@ def test_a_number_beside_an_array_states_its_rate(tmp_path, name, value):
 
 def test_hexadecimal_numbers_are_not_read_as_decimal_ones(tmp_path):
     text = "04 11 09 00\n07 1F 22 10\n00 10 30 40\n"
-    with pytest.raises(SourceError, match="line 2, column 2: '1F' is not a number, but may be"):
+    with pytest.raises(
+        SourceError, match="line 2, column 2: '1F' is not a number, but may be"
+    ):
         read(tmp_path, text, (2, 2))
     source = read(tmp_path, text, (2, 2), missing="1F")
     assert np.isnan(source.frames[1, 0, 1])

@@ -30,7 +30,9 @@ from sparseskin.recordings import read_recording
 
 GRID = np.arange(12.0).reshape(2, 2, 3)
 ROW = {"n_rows": 1, "n_cols": 2}
-FORGIVING = settings(suppress_health_check=[HealthCheck.function_scoped_fixture], deadline=None)
+FORGIVING = settings(
+    suppress_health_check=[HealthCheck.function_scoped_fixture], deadline=None
+)
 
 
 def read(folder, text, **stated):
@@ -43,9 +45,14 @@ def read(folder, text, **stated):
 def test_a_drawn_table_is_read_as_it_was_written(tmp_path, table):
     source = read(tmp_path, table.text, **table.stated)
     np.testing.assert_array_equal(source.frames, table.frames)
-    seconds = 0.01 * np.arange(len(table.frames)) if table.seconds is None else table.seconds
+    seconds = (
+        0.01 * np.arange(len(table.frames)) if table.seconds is None else table.seconds
+    )
     np.testing.assert_allclose(source.stamp_ns / 1e9, seconds, atol=1e-6)
-    assert n_taxels(str(tmp_path / "log.csv"), Layout(**table.stated)) == table.frames[0].size
+    assert (
+        n_taxels(str(tmp_path / "log.csv"), Layout(**table.stated))
+        == table.frames[0].size
+    )
 
 
 @FORGIVING
@@ -70,7 +77,11 @@ def test_a_damaged_table_is_read_right_or_refused(tmp_path, table, data):
 @pytest.mark.parametrize(
     ("text", "stated", "rate_hz"),
     [
-        ("# n\n0,1,2,3,4,5\r\n\r\n6, 7 ,8,9,10,1.1e1\n", {"n_rows": 2, "n_cols": 3}, None),
+        (
+            "# n\n0,1,2,3,4,5\r\n\r\n6, 7 ,8,9,10,1.1e1\n",
+            {"n_rows": 2, "n_cols": 3},
+            None,
+        ),
         ("0;1,0;2;3;4;5\n6;7;8;9;10;11\n", {"n_rows": 2, "n_cols": 3}, None),
         ("r1c0,r1c1,r1c2,r0c0,r0c1,r0c2\n3,4,5,0,1,2\n9,10,11,6,7,8\n", {}, None),
         (
@@ -78,7 +89,11 @@ def test_a_damaged_table_is_read_right_or_refused(tmp_path, table, data):
             {"n_rows": 2, "n_cols": 3},
             10,
         ),
-        ("1790000000,0,1,2,3,4,5\n1790000002,6,7,8,9,10,11\n", {"n_rows": 2, "n_cols": 3}, 0.5),
+        (
+            "1790000000,0,1,2,3,4,5\n1790000002,6,7,8,9,10,11\n",
+            {"n_rows": 2, "n_cols": 3},
+            0.5,
+        ),
         (
             "a,when,x0,x1,x2,x3,x4,x5\n9,4,0,1,2,3,4,5\n9,8,6,7,8,9,10,11\n",
             {"n_rows": 2, "time": "when", "time_unit": "us", "columns": "x*"},
@@ -87,10 +102,22 @@ def test_a_damaged_table_is_read_right_or_refused(tmp_path, table, data):
         ("9,0,1,2,3,4,5\n9,6,7,8,9,10,11\n", {"n_rows": 2, "columns": "2-7"}, None),
         ("0,1,2\n3,4,5\n\n6,7,8\n9,10,11\n", {}, None),
         ("0,1,2\n3,4,5\n6,7,8\n9,10,11\n", {"n_rows": 2, "n_cols": 3}, None),
-        ("Frame 1\n0 1 2\n3 4 5\nFrame 2\n6 7 8\n9 10 11\n", {"n_rows": 2, "n_cols": 3}, None),
-        ("10:15:02.120 -> 0,1,2,3,4,5\n10:15:02.140 -> 6,7,8,9,10,11\n", {"n_rows": 2}, 50),
+        (
+            "Frame 1\n0 1 2\n3 4 5\nFrame 2\n6 7 8\n9 10 11\n",
+            {"n_rows": 2, "n_cols": 3},
+            None,
+        ),
+        (
+            "10:15:02.120 -> 0,1,2,3,4,5\n10:15:02.140 -> 6,7,8,9,10,11\n",
+            {"n_rows": 2},
+            50,
+        ),
         ("0.5: [0, 1, 2, 3, 4, 5]\n0.6: [6, 7, 8, 9, 10, 11]\n", {"n_rows": 2}, 10),
-        ("sec,nsec,s0,s1,s2,s3,s4,s5\n1,9e8,0,1,2,3,4,5\n2,0,6,7,8,9,10,11\n", {"n_rows": 2}, 10),
+        (
+            "sec,nsec,s0,s1,s2,s3,s4,s5\n1,9e8,0,1,2,3,4,5\n2,0,6,7,8,9,10,11\n",
+            {"n_rows": 2},
+            10,
+        ),
         (
             "t_s,s0,s1,s2,s3,s4,s5\n0,0,1,2,3,4,5\nt_s,s0,s1,s2,s3,s4,s5\n.1,6,7,8,9,10,11\n",
             {"n_rows": 2},
@@ -109,7 +136,9 @@ def test_a_damaged_table_is_read_right_or_refused(tmp_path, table, data):
         ),
         (
             "frame,row,col,value\n"
-            + "".join(f"{k},{r},{c},{6 * k + 3 * r + c}\n" for k, r, c in np.ndindex(2, 2, 3)),
+            + "".join(
+                f"{k},{r},{c},{6 * k + 3 * r + c}\n" for k, r, c in np.ndindex(2, 2, 3)
+            ),
             {},
             None,
         ),
@@ -125,13 +154,33 @@ def test_a_table_as_programs_write_it_is_read(tmp_path, text, stated, rate_hz):
 @pytest.mark.parametrize(
     ("text", "stated", "message"),
     [
-        ("1,2,3,4\n", {"unit": None}, "state n_rows and n_cols, .*; the unit of .* unit=counts$"),
-        ("r0c0,r0c1\n1,2\n", {"unit": None}, "unit of the readings is not stated.* unit=counts$"),
+        (
+            "1,2,3,4\n",
+            {"unit": None},
+            "state n_rows and n_cols, .*; the unit of .* unit=counts$",
+        ),
+        (
+            "r0c0,r0c1\n1,2\n",
+            {"unit": None},
+            "unit of the readings is not stated.* unit=counts$",
+        ),
         ("r0c0,r0c1\n1,0.5\n", {"unit": None}, "counts or another text$"),
-        ("1,2,3,4\n", {"n_rows": 2, "n_cols": 3}, "4 columns hold numbers, but .* needs 6"),
-        ("1,2,3,4\n5,6,7,8\n1,2,3\n9,9,9,9\n", {"n_rows": 2}, "line 3: holds 3 cells; 4 are exp"),
+        (
+            "1,2,3,4\n",
+            {"n_rows": 2, "n_cols": 3},
+            "4 columns hold numbers, but .* needs 6",
+        ),
+        (
+            "1,2,3,4\n5,6,7,8\n1,2,3\n9,9,9,9\n",
+            {"n_rows": 2},
+            "line 3: holds 3 cells; 4 are exp",
+        ),
         ("a1,a2\n3,-4\n", {"n_rows": 1}, "frame 0, row 0, column 1: -4 is below 0"),
-        ("s0,s1\n90,80\n90,-1\n95,85\n", {"n_rows": 1}, "no other reading; add missing=-1$"),
+        (
+            "s0,s1\n90,80\n90,-1\n95,85\n",
+            {"n_rows": 1},
+            "no other reading; add missing=-1$",
+        ),
         (
             "s0,s1\n3,4\n5,OVR\n",
             {"n_rows": 1},
@@ -139,8 +188,16 @@ def test_a_table_as_programs_write_it_is_read(tmp_path, text, stated, rate_hz):
         ),
         ("\n# only\n", {"n_rows": 1}, "holds no frame"),
         ("time_s,s0,s1\n2,1,1\n1,1,1\n", {"n_rows": 1}, "time of frame 2 is before"),
-        ("time,s0,s1\n0,1,1\n2,1,1\n", ROW, r"time_unit=s \(0.5 Hz\) or time_unit=ms \(500 Hz"),
-        ("a,b\n1,2\n", {"columns": "c*"}, "columns: 'c.' is none of 2 columns .a, b.; allowed"),
+        (
+            "time,s0,s1\n0,1,1\n2,1,1\n",
+            ROW,
+            r"time_unit=s \(0.5 Hz\) or time_unit=ms \(500 Hz",
+        ),
+        (
+            "a,b\n1,2\n",
+            {"columns": "c*"},
+            "columns: 'c.' is none of 2 columns .a, b.; allowed",
+        ),
         ("a,b\n1,2\n", {"columns": "2-9"}, "'2-9' is none of 2 columns"),
         ("name\nleft\n", {}, "holds no frame"),
         ("5,a,1,2\n6,a,1,2\n4,a,1,2\n", ROW, "3 columns hold numbers, but .* needs 2"),
@@ -155,14 +212,26 @@ def test_a_table_as_programs_write_it_is_read(tmp_path, text, stated, rate_hz):
             ROW,
             "'3/12/2026 9:00', like a time",
         ),
-        ("time_s,s0,s1\n1,1,1\n1,2,2\n1,3,3\n", ROW, "2 of 3 times repeat the one before; state"),
+        (
+            "time_s,s0,s1\n1,1,1\n1,2,2\n1,3,3\n",
+            ROW,
+            "2 of 3 times repeat the one before; state",
+        ),
         (
             "us,s0,s1\n4294967290,1,1\n20,2,2\n",
             {**ROW, "time": "us"},
             "0; add time_wrap=4294967296$",
         ),
-        ('{"t": 0, "s": [1, 2]}\n{"t": 1, "s": [1, 2]}\n', ROW, "lines of JSON are not read"),
-        ("1,2\n3,4\n", {**ROW, "axes": "rows,cols,frames"}, "axes = .*; allowed for a table"),
+        (
+            '{"t": 0, "s": [1, 2]}\n{"t": 1, "s": [1, 2]}\n',
+            ROW,
+            "lines of JSON are not read",
+        ),
+        (
+            "1,2\n3,4\n",
+            {**ROW, "axes": "rows,cols,frames"},
+            "axes = .*; allowed for a table",
+        ),
         (
             "side,s0,s1\nleft,1,2\nright,3,4\n",
             ROW,
@@ -170,23 +239,35 @@ def test_a_table_as_programs_write_it_is_read(tmp_path, text, stated, rate_hz):
         ),
         ("L0,L1,R0,R1\n1,2,3,4\n", ROW, "state columns=1-2 or columns=3-4$"),
         ("1,\0", ROW, "not a text table in UTF-8"),
-        ("t,time,s0,s1\n0,5,1,1\n1,6,1,1\n", ROW, "2 columns may be the times: state time='t' or"),
+        (
+            "t,time,s0,s1\n0,5,1,1\n1,6,1,1\n",
+            ROW,
+            "2 columns may be the times: state time='t' or",
+        ),
         (
             "timestep,s0,s1\n0.5,1,1\n0.1,1,1\n",
             ROW,
             "time of frame 2 is before .* by 0.4 s; sort or",
         ),
-        ("1,2\n3,4\n", {}, "state n_rows and n_cols, 1 x 2 or 2 x 1, or columns if not all are"),
+        (
+            "1,2\n3,4\n",
+            {},
+            "state n_rows and n_cols, 1 x 2 or 2 x 1, or columns if not all are",
+        ),
     ],
 )
-def test_what_is_no_table_of_frames_is_refused_in_one_line(tmp_path, text, stated, message):
+def test_what_is_no_table_of_frames_is_refused_in_one_line(
+    tmp_path, text, stated, message
+):
     shown = refusal(lambda: read(tmp_path, text, **stated), SourceError)
     assert re.search(f"{tmp_path / 'log.csv'}.*{message}", shown)
 
 
 @FORGIVING
 @given(data=st.data())
-def test_a_column_that_rises_without_a_name_is_never_dropped_without_a_word(tmp_path, data):
+def test_a_column_that_rises_without_a_name_is_never_dropped_without_a_word(
+    tmp_path, data
+):
     n_lines = data.draw(st.integers(8, 20))
     n_taxels = data.draw(st.integers(2, 5))
     rng = np.random.default_rng(data.draw(st.integers(0, 2**32 - 1)))
@@ -213,7 +294,9 @@ def test_a_column_that_rises_without_a_name_is_never_dropped_without_a_word(tmp_
 
 
 def test_what_is_not_read_is_said(tmp_path):
-    source = read(tmp_path, "time_s,x,s0,s1\n0.0,5,1,2\n0.1,6,3,4\n", n_rows=1, rate_hz=20)
+    source = read(
+        tmp_path, "time_s,x,s0,s1\n0.0,5,1,2\n0.1,6,3,4\n", n_rows=1, rate_hz=20
+    )
     assert "left out: 1 column, x" in source.notes
     assert "times: column 'time_s', not read, since a rate is stated" in source.notes
     assert source.frames.tolist() == [[[1, 2]], [[3, 4]]]
@@ -225,7 +308,13 @@ def test_lines_in_are_frames_out_and_drops_by_name(tmp_path):
     assert source.frames.tolist() == [[[1, 2]], [[3, 4]]]
     account = source.notes[-1]
     assert account.startswith("8 lines: 2 frames, ")
-    for drop in ("1 blank lines", "1 header", "1 line of units", "1 comments", "1 cut last line"):
+    for drop in (
+        "1 blank lines",
+        "1 header",
+        "1 line of units",
+        "1 comments",
+        "1 cut last line",
+    ):
         assert drop in account
 
 
@@ -237,7 +326,9 @@ def test_a_folder_of_frames_is_read_in_the_order_of_its_numbers(tmp_path):
 
 
 def test_a_taxel_without_a_reading_is_missing_and_not_left_out(tmp_path):
-    source = read(tmp_path, "s0,s1,s2\n1,NaN,2\n3,NaN,4\n", n_rows=1, n_cols=3, missing="NaN")
+    source = read(
+        tmp_path, "s0,s1,s2\n1,NaN,2\n3,NaN,4\n", n_rows=1, n_cols=3, missing="NaN"
+    )
     np.testing.assert_array_equal(source.frames, [[[1, np.nan, 2]], [[3, np.nan, 4]]])
 
 
@@ -257,7 +348,9 @@ def test_repeated_times_cost_1_ns_and_are_said(tmp_path):
 
 
 def test_a_large_table_is_read_by_blocks_as_a_small_one(tmp_path, monkeypatch):
-    text = "time_ms,s0,s1\n" + "".join(f"{20 * k},{k % 97},{k % 89}\n" for k in range(500))
+    text = "time_ms,s0,s1\n" + "".join(
+        f"{20 * k},{k % 97},{k % 89}\n" for k in range(500)
+    )
     small = read(tmp_path, text, **ROW)
     monkeypatch.setattr(file_source, "KEPT_BYTES", 100)
     monkeypatch.setattr(recording, "BLOCK_NUMBERS", 64)
@@ -267,7 +360,9 @@ def test_a_large_table_is_read_by_blocks_as_a_small_one(tmp_path, monkeypatch):
     assert large.skin.f_max == small.skin.f_max == 96
 
 
-BAD = np.array([[[1, 2], [3, 4]], [[np.nan, -1], [5, np.inf]], [[2, 2], [-3, 1]]], np.float32)
+BAD = np.array(
+    [[[1, 2], [3, 4]], [[np.nan, -1], [5, np.inf]], [[2, 2], [-3, 1]]], np.float32
+)
 
 
 class TestPasses:
@@ -300,7 +395,10 @@ class TestPasses:
     def test_an_import_decodes_it_twice(self, tmp_path, n_passes):
         (tmp_path / "log.csv").write_text(self.TEXT)
         layout = Layout(n_rows=1, unit="N")
-        assert import_file(tmp_path / "log.csv", tmp_path / "log.mcap", layout=layout) == 20
+        assert (
+            import_file(tmp_path / "log.csv", tmp_path / "log.mcap", layout=layout)
+            == 20
+        )
         assert n_passes == [20, 20]
 
     @pytest.mark.parametrize("stated", [{"f_max": 50.0}, {"skin": True}])
@@ -311,7 +409,9 @@ class TestPasses:
         layout = Layout(n_rows=1, unit="N", f_max=stated.get("f_max"))
         described = of_skin("skin", Skin(1, 2, 50.0)) if "skin" in stated else None
         where = f"file:{tmp_path / 'log.csv'}"
-        source = open_source(where, layout=layout, raw="skin" in stated, described=described)
+        source = open_source(
+            where, layout=layout, raw="skin" in stated, described=described
+        )
         assert n_passes
         assert max(n_passes) < 20
         assert len(source.frames) == 20
@@ -330,10 +430,17 @@ def treated(layout, folder):
         ("hold", "zero", [[1, 2, 3, 4], [1, 0, 5, 4], [2, 2, 0, 1]], None),
         ("hold", "offset", [[4, 5, 6, 7], [4, 2, 8, 7], [5, 5, 0, 4]], None),
         ("mask", "zero", [[1, 2, 3, 4], [2.5, 0, 5, 2.5], [2, 2, 0, 1]], None),
-        ("zero", "mask", [[1, 0, 0, 4], None, [2, 0, 0, 1]], [True, False, False, True]),
+        (
+            "zero",
+            "mask",
+            [[1, 0, 0, 4], None, [2, 0, 0, 1]],
+            [True, False, False, True],
+        ),
     ],
 )
-def test_invalid_readings_become_what_the_settings_say(tmp_path, nan, negative, expected, mask):
+def test_invalid_readings_become_what_the_settings_say(
+    tmp_path, nan, negative, expected, mask
+):
     source = treated(Layout(nan=nan, negative=negative, f_max=10.0), tmp_path)
     readings = MissingReadings(nan, source.skin, learns=False)
     filled = [readings.fill(frame, 0) for frame in source.frames]
@@ -348,7 +455,9 @@ def test_invalid_readings_become_what_the_settings_say(tmp_path, nan, negative, 
 def test_missing_and_negative_cells_of_a_csv_are_treated_too(tmp_path):
     (tmp_path / "a.csv").write_text("1,,NaN,4\n-2,5,6,7\n")
     options = {"n_rows": 2, "n_cols": 2, "unit": "N"}
-    source = open_file(tmp_path / "a.csv", Layout(**options, nan="zero", negative="offset"))
+    source = open_file(
+        tmp_path / "a.csv", Layout(**options, nan="zero", negative="offset")
+    )
     found = np.nan_to_num(source.frames, nan=-1).reshape(2, 4)
     assert found.tolist() == [[3, -1, -1, 6], [0, 7, 8, 9]]
     counts = {"not_finite": 2, "negative": 1, "masked_taxels": 0, "offset": -2.0}
@@ -360,7 +469,9 @@ def test_missing_and_negative_cells_of_a_csv_are_treated_too(tmp_path):
 def test_a_sensor_counts_invalid_readings_in_its_log_and_report(tmp_path):
     np.save(tmp_path / "a.npy", BAD)
     lines = []
-    chosen = SensorSettings(source=f"file:{tmp_path / 'a.npy'}", nan="hold", negative="offset")
+    chosen = SensorSettings(
+        source=f"file:{tmp_path / 'a.npy'}", nan="hold", negative="offset"
+    )
     sensor = Sensor(chosen, Context("sensor", ManualClock(0), lines.append))
     list(sensor.start())
     assert lines[-2:] == [
@@ -409,7 +520,9 @@ def test_an_archive_that_grows_far_is_read_by_blocks(tmp_path):
 
 
 def test_headers_of_arrays_are_not_believed(tmp_path):
-    head = npy(np.zeros((1, 4, 4)))[:128].replace(b"(1, 4, 4)", b"(1000000, 400, 4)")[:128]
+    head = npy(np.zeros((1, 4, 4)))[:128].replace(b"(1, 4, 4)", b"(1000000, 400, 4)")[
+        :128
+    ]
     path = tmp_path / "lies.npz"
     with zipfile.ZipFile(path, "w") as archive:
         archive.writestr("forces.npy", head + bytes(64))
@@ -419,7 +532,9 @@ def test_headers_of_arrays_are_not_believed(tmp_path):
     ):
         open_file(path)
     path = tmp_path / "true.npy"
-    path.write_bytes(npy(np.ones((1, 8, 8))).replace(b"(1, 8, 8), }   ", b"(True, 8, 8), }"))
+    path.write_bytes(
+        npy(np.ones((1, 8, 8))).replace(b"(1, 8, 8), }   ", b"(True, 8, 8), }")
+    )
     with pytest.raises(SourceError, match=r"true\.npy: not a readable NumPy file"):
         open_file(path)
 

@@ -24,7 +24,9 @@ def arranged(layout, axes, numbers, usable=None):
 @given(SIDES, SIDES, st.data())
 def test_names_with_rows_and_columns_give_the_grid_in_any_order(n_rows, n_cols, data):
     form = data.draw(
-        st.sampled_from(["r{r}c{c}", "c{c}_r{r}", "x{c}y{r}", "row{r}_col{c}", "s1_r{r}_c{c}"])
+        st.sampled_from(
+            ["r{r}c{c}", "c{c}_r{r}", "x{c}y{r}", "row{r}_col{c}", "s1_r{r}_c{c}"]
+        )
     )
     base = data.draw(st.integers(0, 1))
     places = [(r, c) for r in range(n_rows) for c in range(n_cols)]
@@ -38,8 +40,12 @@ def test_names_with_rows_and_columns_give_the_grid_in_any_order(n_rows, n_cols, 
 
 
 @given(SIDES, SIDES, st.sampled_from(["xyz", "zyx", "yzx"]), st.booleans(), st.data())
-def test_of_three_axes_per_taxel_the_normal_one_is_read(n_rows, n_cols, letters, apart, data):
-    form = data.draw(st.sampled_from(["p{k}_{a}", "{a}_{k}", "taxels[{k}].{a}", "f{a}{k}"]))
+def test_of_three_axes_per_taxel_the_normal_one_is_read(
+    n_rows, n_cols, letters, apart, data
+):
+    form = data.draw(
+        st.sampled_from(["p{k}_{a}", "{a}_{k}", "taxels[{k}].{a}", "f{a}{k}"])
+    )
     n = n_rows * n_cols
     cells = [(k, a) for k in range(n) for a in letters]
     if apart:
@@ -91,19 +97,41 @@ def test_labels_of_axes_state_rows_columns_and_channel(n_rows, n_cols, data):
     channels[..., 2] = numbered(n_rows, n_cols)
     axes = [Axis(sides[label], label) for label in labels]
     layout = Layout(n_rows=n_rows, n_cols=n_cols)
-    np.testing.assert_array_equal(arranged(layout, axes, values), numbered(n_rows, n_cols))
+    np.testing.assert_array_equal(
+        arranged(layout, axes, values), numbered(n_rows, n_cols)
+    )
 
 
 @pytest.mark.parametrize(
     ("stated", "axes", "usable", "message"),
     [
-        ({}, [Axis(6)], None, "shape is not stated: state n_rows and n_cols, 3 x 2, 2 x 3, 1 x 6"),
+        (
+            {},
+            [Axis(6)],
+            None,
+            "shape is not stated: state n_rows and n_cols, 3 x 2, 2 x 3, 1 x 6",
+        ),
         ({"n_rows": 4}, [Axis(6)], None, "4 x 1 needs 4"),
         ({"n_rows": 3}, [Axis(4), Axis(3)], None, "n_rows = 3 is stated, .* have 4"),
         ({}, [Axis(4), Axis(3), Axis(3)], None, "3 axes, 4 x 3 x 3; state axes"),
-        ({"row_order": "0,0"}, [Axis(2), Axis(2)], None, "row_order: '0,0' is not allowed"),
-        ({"columns": "q*"}, [Axis(2, "", ("a", "b"))], None, "'q.' is none of 2 columns"),
-        ({"n_rows": 1, "n_cols": 3}, [Axis(4, "", ("a", "b", "c", "d"))], None, "needs 3; state"),
+        (
+            {"row_order": "0,0"},
+            [Axis(2), Axis(2)],
+            None,
+            "row_order: '0,0' is not allowed",
+        ),
+        (
+            {"columns": "q*"},
+            [Axis(2, "", ("a", "b"))],
+            None,
+            "'q.' is none of 2 columns",
+        ),
+        (
+            {"n_rows": 1, "n_cols": 3},
+            [Axis(4, "", ("a", "b", "c", "d"))],
+            None,
+            "needs 3; state",
+        ),
     ],
 )
 def test_what_does_not_fit_is_refused_in_one_line(stated, axes, usable, message):
@@ -126,7 +154,9 @@ def test_shapes_that_are_named_have_that_many_taxels(n):
         assert n_rows * n_cols == n
 
 
-@pytest.mark.parametrize("stated", [{"axes": "rows,colums"}, {"channel": "-z"}, {"order": "z"}])
+@pytest.mark.parametrize(
+    "stated", [{"axes": "rows,colums"}, {"channel": "-z"}, {"order": "z"}]
+)
 def test_a_layout_checks_its_values(stated):
     with pytest.raises(SettingsError, match=next(iter(stated))):
         Layout(**stated)

@@ -22,7 +22,11 @@ from sparseskin.nodes.sensor.layout.times import (
 UNITS = st.sampled_from(["ns", "us", "ms", "s"])
 
 
-@given(UNITS, st.lists(st.integers(0, 10**9), min_size=1, max_size=20), st.integers(0, 10**9))
+@given(
+    UNITS,
+    st.lists(st.integers(0, 10**9), min_size=1, max_size=20),
+    st.integers(0, 10**9),
+)
 def test_whole_times_become_exact_stamps_in_any_blocks(unit, steps, first):
     times = (first + np.cumsum(steps)).tolist()
     stamps = Stamps(unit)
@@ -48,7 +52,9 @@ def test_dates_have_the_unit_of_their_size(unit, first_s, step_s):
 
 
 def test_a_unit_that_may_be_one_of_two_is_not_chosen():
-    with pytest.raises(UnstatedError, match=r"time_unit=s \(0.5 Hz\) or time_unit=ms \(500 Hz\)"):
+    with pytest.raises(
+        UnstatedError, match=r"time_unit=s \(0.5 Hz\) or time_unit=ms \(500 Hz\)"
+    ):
         unit_of([0, 2, 4, 6], "f")
 
 
@@ -68,7 +74,9 @@ def test_times_of_day_go_on_at_midnight(first_s, steps_s):
     assert np.abs(found - exact).max() <= len(steps_s)
 
 
-@given(st.integers(0, 23), st.integers(0, 59), st.integers(0, 59), st.integers(0, 999_999))
+@given(
+    st.integers(0, 23), st.integers(0, 59), st.integers(0, 59), st.integers(0, 999_999)
+)
 def test_a_time_of_day_is_read(hours, minutes, seconds, micros):
     text = f"{hours:02d}:{minutes:02d}:{seconds:02d}.{micros:06d}"
     exact = ((hours * 60 + minutes) * 60 + seconds) * 10**9 + micros * 1000
@@ -103,7 +111,9 @@ def test_names_of_times_state_their_unit(name, unit):
     assert named_unit(name) == unit
 
 
-@pytest.mark.parametrize("name", ["taxel1", "temperature", "s0", "datum", "timer2", "total"])
+@pytest.mark.parametrize(
+    "name", ["taxel1", "temperature", "s0", "datum", "timer2", "total"]
+)
 def test_other_names_are_no_times(name):
     assert not is_time_name(name)
 

@@ -14,9 +14,20 @@ from scipy.integrate import solve_ivp
 from sparseskin.messages.skin import CONTACT_FRACTION
 from sparseskin.nodes.sensor.noise import NoiseModel
 from sparseskin.nodes.sensor.scenes import bodies
-from sparseskin.nodes.sensor.scenes.bodies import FAR_M, Body, Sole, build_sole, metal_peg
+from sparseskin.nodes.sensor.scenes.bodies import (
+    FAR_M,
+    Body,
+    Sole,
+    build_sole,
+    metal_peg,
+)
 from sparseskin.nodes.sensor.scenes.contact import Bed, RigidBody
-from sparseskin.nodes.sensor.scenes.scenes import SCENES, SKIN, TAXEL_RADIUS_M, open_scene
+from sparseskin.nodes.sensor.scenes.scenes import (
+    SCENES,
+    SKIN,
+    TAXEL_RADIUS_M,
+    open_scene,
+)
 from sparseskin.nodes.sensor.scenes.simulation import Drag, Scene, SceneSource
 
 G_M_S2 = 9.81
@@ -74,24 +85,40 @@ def counts(change, noise):
 
 
 def frames_of(source, n_frames):
-    return np.stack([f.ravel() for _, f in itertools.islice(source, n_frames)]).astype(np.float64)
+    return np.stack([f.ravel() for _, f in itertools.islice(source, n_frames)]).astype(
+        np.float64
+    )
 
 
 @pytest.mark.parametrize(
-    ("name", "n_frames", "method", "change_db", "worst_db", "noise_db", "n_above", "n_contact"),
+    (
+        "name",
+        "n_frames",
+        "method",
+        "change_db",
+        "worst_db",
+        "noise_db",
+        "n_above",
+        "n_contact",
+    ),
     [
         ("lift_box_40", 685, "DOP853", 73.4, 63.6, 46.6, 0, 139),
         pytest.param(
-            *("lift_wrench_40", 2951, "LSODA", 59.0, 40.8, 47.3, 50, 2325), marks=pytest.mark.slow
+            *("lift_wrench_40", 2951, "LSODA", 59.0, 40.8, 47.3, 50, 2325),
+            marks=pytest.mark.slow,
         ),
     ],
 )
-def test_body_lands_well(name, n_frames, method, change_db, worst_db, noise_db, n_above, n_contact):
+def test_body_lands_well(
+    name, n_frames, method, change_db, worst_db, noise_db, n_above, n_contact
+):
     source = open_scene(name, 0)
     body = source.scene.body
     state = next(source.states())
     reached = state.bed.gap < 0.1
-    k, c, gap = (a[reached] for a in (state.bed.stiffness, state.bed.damping, state.bed.gap))
+    k, c, gap = (
+        a[reached] for a in (state.bed.stiffness, state.bed.damping, state.bed.gap)
+    )
     jacobian = state.bed.jacobian[reached]
     inertia = np.array([body.mass_kg, body.inertia_kg_m2])[: jacobian.shape[1]]
 
@@ -126,9 +153,15 @@ def test_tilted_body_lands_and_rocks_as_the_exact_solution():
     c = 0.4
     x = np.tile((np.arange(10) - 4.5) * 0.005, 10)
     body = RigidBody(
-        np.array([mass_kg, inertia_kg_m2]), np.array([-mass_kg * G_M_S2, mass_kg * G_M_S2 * off_m])
+        np.array([mass_kg, inertia_kg_m2]),
+        np.array([-mass_kg * G_M_S2, mass_kg * G_M_S2 * off_m]),
     )
-    bed = Bed(np.full(100, k), np.full(100, c), np.zeros(100), np.stack([np.ones(100), -x], axis=1))
+    bed = Bed(
+        np.full(100, k),
+        np.full(100, c),
+        np.zeros(100),
+        np.stack([np.ones(100), -x], axis=1),
+    )
 
     def acceleration(t, q, v):
         f = press(k, c, x * q[1] - q[0], x * v[1] - v[0])
@@ -184,7 +217,9 @@ def test_body_dragged_over_the_skin_follows_the_exact_solution():
 
     expected, _ = exact(acceleration, [0.0], times_s)
     heights = [state.q[0] for state in SceneSource(scene, 0).states()]
-    assert np.abs(heights - expected[0]).max() < slope * speed_m_s * 1e-4  # one step of the drag
+    assert (
+        np.abs(heights - expected[0]).max() < slope * speed_m_s * 1e-4
+    )  # one step of the drag
     assert expected[0].min() < -6e-3
 
 
@@ -194,7 +229,9 @@ def test_body_dragged_over_the_skin_follows_the_exact_solution():
         ("lift_box_40", 400, 5.55, 1.21, 0.50),
         pytest.param(*("lift_box_64", 3400, 5.59, 1.25, 1.24), marks=pytest.mark.slow),
         ("lift_wrench_40", 400, 12.17, 2.06, 1.54),
-        pytest.param(*("drag_wrench_64", 2400, 10.13, 1.47, 1.46), marks=pytest.mark.slow),
+        pytest.param(
+            *("drag_wrench_64", 2400, 10.13, 1.47, 1.46), marks=pytest.mark.slow
+        ),
     ],
 )
 def test_first_landing_is_as_stated(name, n_steps, deepest_mm, largest_n, published_n):
@@ -203,7 +240,9 @@ def test_first_landing_is_as_stated(name, n_steps, deepest_mm, largest_n, publis
     largest = 0.0
     for state in itertools.islice(source.states(), n_steps):
         n = state.taxels.size
-        deepest = max(deepest, -(state.bed.gap + state.bed.jacobian @ state.q)[:n].min())
+        deepest = max(
+            deepest, -(state.bed.gap + state.bed.jacobian @ state.q)[:n].min()
+        )
         largest = max(largest, state.bed.forces(state.q, state.v)[:n].max())
     assert 1e3 * deepest == pytest.approx(deepest_mm, abs=0.01)
     assert largest == pytest.approx(largest_n, abs=0.01)
@@ -221,15 +260,22 @@ class ExactDisc(Sole):
 
 @pytest.mark.parametrize(
     ("n_frames", "change_db", "n_above", "n_contact"),
-    [(1000, 49.5, 49, 341), pytest.param(12200, 64.5, 49, 11541, marks=pytest.mark.slow)],
+    [
+        (1000, 49.5, 49, 341),
+        pytest.param(12200, 64.5, 49, 11541, marks=pytest.mark.slow),
+    ],
 )
-def test_height_map_of_the_peg_lacks_one_taxel_of_19(n_frames, change_db, n_above, n_contact):
+def test_height_map_of_the_peg_lacks_one_taxel_of_19(
+    n_frames, change_db, n_above, n_contact
+):
     scene = SCENES["path_40"]()
     sole = metal_peg(TAXEL_RADIUS_M).sole
     body = replace(scene.body, sole=ExactDisc(sole.heights, sole.x_min, sole.y_min))
     frames = frames_of(open_scene("path_40", 0), n_frames)
     expected = frames_of(SceneSource(replace(scene, body=body), 0), n_frames)
-    pressed = [np.count_nonzero(f.max(axis=0)) for f in (frames[320:330], expected[320:330])]
+    pressed = [
+        np.count_nonzero(f.max(axis=0)) for f in (frames[320:330], expected[320:330])
+    ]
     assert pressed == [18, 19]
     change, noise = compare(frames, expected)
     assert counts(change, noise) == pytest.approx((n_above, n_contact), abs=TIES)
@@ -239,7 +285,9 @@ def test_height_map_of_the_peg_lacks_one_taxel_of_19(n_frames, change_db, n_abov
 
 
 @pytest.mark.slow
-def test_height_map_of_the_wrench_on_a_finer_grid_changes_214_frames_of_2362(monkeypatch):
+def test_height_map_of_the_wrench_on_a_finer_grid_changes_214_frames_of_2362(
+    monkeypatch,
+):
     monkeypatch.setattr(bodies, "GRID_M", 0.000125)
     wrench = bodies.monkey_wrench.__wrapped__(TAXEL_RADIUS_M)
     body = replace(wrench, sole=replace(wrench.sole, grid_m=0.000125))

@@ -52,9 +52,15 @@ def played(name):
 
 
 @pytest.mark.parametrize(
-    "name", [n if n == "lift_box_40" else pytest.param(n, marks=pytest.mark.slow) for n in TABLE]
+    "name",
+    [
+        n if n == "lift_box_40" else pytest.param(n, marks=pytest.mark.slow)
+        for n in TABLE
+    ],
 )
-def test_whole_scene_starts_untouched_touches_stays_in_range_and_all_but_path_ends_untouched(name):
+def test_whole_scene_starts_untouched_touches_stays_in_range_and_all_but_path_ends_untouched(
+    name,
+):
     peak = played(name).peak
     assert np.isfinite(played(name).total).all()
     assert peak.max() <= 2.5
@@ -95,7 +101,9 @@ def all_frames():
     [
         ("lift_box_40", 0.5167),
         pytest.param("lift_box_64", 0.5167, marks=pytest.mark.slow),
-        pytest.param("path_40", 2700 * math.pi * 0.01**2 * 0.06, marks=pytest.mark.slow),
+        pytest.param(
+            "path_40", 2700 * math.pi * 0.01**2 * 0.06, marks=pytest.mark.slow
+        ),
     ],
 )
 def test_forces_at_rest_carry_the_weight_and_those_of_the_box_evenly(name, mass_kg):
@@ -121,7 +129,9 @@ STEP_S = 0.05
 def touched(scene, seconds):
     """True where a patch is touched, (n_frames, n_patches)."""
     frames = [scene.forces(k * STEP_S) for k in range(round(seconds / STEP_S))]
-    return np.array([f.max(axis=(1, 2)) > CONTACT_FRACTION * PAPER_F_MAX_N for f in frames])
+    return np.array(
+        [f.max(axis=(1, 2)) > CONTACT_FRACTION * PAPER_F_MAX_N for f in frames]
+    )
 
 
 @pytest.mark.parametrize("name", TILED)
@@ -134,7 +144,10 @@ def test_as_many_patches_are_pressed_as_stated_and_the_others_are_idle(name):
 @pytest.mark.parametrize("shape", [(16, 5), (1, 16)])
 def test_forces_are_within_the_range_and_each_press_ends(name, shape):
     scene = TiledScene(name, Skin(*shape, PAPER_F_MAX_N, pitch_m=0.005), 3, active=0.3)
-    peaks = [scene.forces(k * STEP_S).max() for k in range(round(TILED[name].period_s / STEP_S))]
+    peaks = [
+        scene.forces(k * STEP_S).max()
+        for k in range(round(TILED[name].period_s / STEP_S))
+    ]
     assert 0.1 < max(peaks) < 0.9
     assert scene.forces(TILED[name].pressed_s + 1e-6)[0].max() == 0.0
 
@@ -193,7 +206,9 @@ def falling_body(*inertia_kg_m2):
 
 def bed_of(omega, zeta):
     """A bed on which MASS_KG has the given frequency (rad/s) and damping ratio."""
-    return square_bed(MASS_KG * omega**2 / N_CELLS, 2 * zeta * omega * MASS_KG / N_CELLS)
+    return square_bed(
+        MASS_KG * omega**2 / N_CELLS, 2 * zeta * omega * MASS_KG / N_CELLS
+    )
 
 
 def run(body, bed, q, v, dt_s, n_steps):
@@ -209,9 +224,15 @@ def run(body, bed, q, v, dt_s, n_steps):
 
 def test_cells_push_and_never_pull():
     bed = square_bed(100.0, 10.0)
-    assert not bed.forces(np.array([1e-4]), np.array([-1.0])).any()  # above, and approaching
-    assert not bed.forces(np.array([-1e-4]), np.array([1.0])).any()  # within, and leaving fast
-    np.testing.assert_allclose(bed.forces(np.array([-0.01]), np.array([-0.1])), 100 * 0.01 + 1.0)
+    assert not bed.forces(
+        np.array([1e-4]), np.array([-1.0])
+    ).any()  # above, and approaching
+    assert not bed.forces(
+        np.array([-1e-4]), np.array([1.0])
+    ).any()  # within, and leaving fast
+    np.testing.assert_allclose(
+        bed.forces(np.array([-0.01]), np.array([-0.1])), 100 * 0.01 + 1.0
+    )
 
 
 def test_drop_on_a_bed_far_too_stiff_for_the_step_comes_to_rest():
@@ -220,7 +241,9 @@ def test_drop_on_a_bed_far_too_stiff_for_the_step_comes_to_rest():
     bed = bed_of(omega, 0.05)
     q, v = run(falling_body(), bed, [0.05], [0.0], dt_s, 2000)
     assert q[:, 0].max() <= 0.05
-    assert bed.forces(q[-1], v[-1]).sum() == pytest.approx(MASS_KG * GRAVITY_M_S2, rel=0.01)
+    assert bed.forces(q[-1], v[-1]).sum() == pytest.approx(
+        MASS_KG * GRAVITY_M_S2, rel=0.01
+    )
 
 
 def test_bouncing_and_tipping_body_never_gains_energy():
