@@ -36,7 +36,13 @@ from sparseskin.plugins.bridges.base import (
     check_installed,
     point_columns,
 )
-from sparseskin.plugins.bridges.contacts import COLOURS, as_json, json_schema, shapes
+from sparseskin.plugins.bridges.contacts import (
+    COLOURS,
+    Shape,
+    as_json,
+    json_schema,
+    shapes,
+)
 
 FLOAT32_BYTES = 4
 Schema = str | Mapping[str, Any]
@@ -237,9 +243,6 @@ def contact_scene(message: Contacts, skin: SkinState) -> Any:
     from foxglove import messages as primitives
 
     at = _timestamp(message.stamp_ns)
-    red, green, blue, opacity = COLOURS[message.trusted[0]]
-    colour = primitives.Color(r=red, g=green, b=blue, a=opacity)
-
     # The middle of a flat skin is the origin of its frame.
     middle = np.zeros(3)
     if skin.points is None:
@@ -247,48 +250,56 @@ def contact_scene(message: Contacts, skin: SkinState) -> Any:
         middle[0] = side * (skin.n_cols - 1) / 2
         middle[1] = side * (skin.n_rows - 1) / 2
 
+    red, green, blue, opacity = COLOURS[message.trusted[0]]
+    colour = primitives.Color(r=red, g=green, b=blue, a=opacity)
+
     entities = []
     for shape in shapes(message, skin):
-        d = shape.diameter
-        centre = shape.centre - middle
-        tail = shape.tail - middle
-        length = float(np.linalg.norm(centre - tail))
-        head = min(d / 2, length)
-        turn = _turn_from_x((centre - tail) / (length or 1.0))
-        arrow = primitives.ArrowPrimitive(
-            pose=_pose(*tail, *turn),
-            shaft_length=length - head,
-            shaft_diameter=d / 4,
-            head_length=head,
-            head_diameter=d / 2,
-            color=colour,
-        )
-        sphere = primitives.SpherePrimitive(
-            pose=_pose(*centre),
-            size=primitives.Vector3(x=d, y=d, z=d / 4),
-            color=colour,
-        )
-        text = primitives.TextPrimitive(
-            pose=_pose(*tail),
-            billboard=True,
-            font_size=d,
-            color=colour,
-            text=shape.text,
-        )
         entities.append(
             primitives.SceneEntity(
                 timestamp=at,
                 frame_id=message.patch,
                 id=str(shape.id),
-                arrows=[arrow],
-                spheres=[sphere],
-                texts=[text],
+                **_contact_primitives(shape, middle, colour),
             )
         )
     everything = primitives.SceneEntityDeletion(
         timestamp=at, type=primitives.SceneEntityDeletionType.All
     )
     return primitives.SceneUpdate(deletions=[everything], entities=entities)
+
+
+def _contact_primitives(shape: Shape, middle: Doubles, colour: Any) -> dict[str, Any]:
+    """Primitives of a SceneEntity: arrow, sphere and text of a contact."""
+    from foxglove import messages as primitives
+
+    d = shape.diameter
+    centre = shape.centre - middle
+    tail = shape.tail - middle
+    length = float(np.linalg.norm(centre - tail))
+    head = min(d / 2, length)
+    turn = _turn_from_x((centre - tail) / (length or 1.0))
+    arrow = primitives.ArrowPrimitive(
+        pose=_pose(*tail, *turn),
+        shaft_length=length - head,
+        shaft_diameter=d / 4,
+        head_length=head,
+        head_diameter=d / 2,
+        color=colour,
+    )
+    sphere = primitives.SpherePrimitive(
+        pose=_pose(*centre),
+        size=primitives.Vector3(x=d, y=d, z=d / 4),
+        color=colour,
+    )
+    text = primitives.TextPrimitive(
+        pose=_pose(*tail),
+        billboard=True,
+        font_size=d,
+        color=colour,
+        text=shape.text,
+    )
+    return {"arrows": [arrow], "spheres": [sphere], "texts": [text]}
 
 
 def _turn_from_x(direction: Doubles) -> tuple[float, float, float, float]:
