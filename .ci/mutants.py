@@ -185,8 +185,9 @@ def _recorded(tree: Path, names: Sequence[str]) -> list[Test]:
     for module in modules:
         (tree / module).write_text(with_marks((ROOT / module).read_text(), module))
     patterns = AREAS[names[0]].tests
+    # In the copy: it lacks files that git does not know yet.
     tests = record(
-        tree, [str(p.relative_to(ROOT)) for t in patterns for p in sorted(ROOT.glob(t))]
+        tree, [str(p.relative_to(tree)) for t in patterns for p in sorted(tree.glob(t))]
     )
     for module in modules:
         shutil.copy2(ROOT / module, tree / module)
