@@ -129,7 +129,7 @@ def test_rows_of_points_are_whole_numbers_from_0_on():
 
 
 def test_a_contact_is_a_hundredth_of_a_newton_on_the_skin_of_the_paper():
-    assert CONTACT_FRACTION * PAPER_F_MAX_N == pytest.approx(0.01)
+    assert pytest.approx(0.01) == CONTACT_FRACTION * PAPER_F_MAX_N
 
 
 def test_the_range_clips_noise_to_the_deviation_that_is_stated():
