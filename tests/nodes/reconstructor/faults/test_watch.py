@@ -156,7 +156,7 @@ class Sums(Phi):
     kind = "sums"
 
     def __init__(self, counts):
-        super().__init__(max(*counts, 16), len(counts), 0)
+        super().__init__(max(*counts, 16, len(counts)), len(counts), 0)
         self.counts = counts
         self.fingerprint = f"{hash(tuple(counts)):016x}"
 
