@@ -33,7 +33,7 @@ import sys
 import tempfile
 import tomllib
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
 
@@ -113,7 +113,6 @@ class Score:
     n_equivalent: int = 0
     """Explained as a change of nothing that the program does."""
     n_survived: int = 0
-    lines: list[str] = field(default_factory=list)
 
     @property
     def n_sample(self) -> int:
@@ -156,7 +155,7 @@ def main() -> int:
                 score = _score(
                     tree, name, tests, arguments.size, arguments.draw, explained
                 )
-                print(score, *score.lines, sep="\n", flush=True)
+                print(score, flush=True)
                 scores.append(score)
     low = [
         score
@@ -186,8 +185,9 @@ def _recorded(tree: Path, names: Sequence[str]) -> list[Test]:
     for module in modules:
         (tree / module).write_text(with_marks((ROOT / module).read_text(), module))
     patterns = AREAS[names[0]].tests
+    # In the copy: it lacks files that git does not know yet.
     tests = record(
-        tree, [str(p.relative_to(ROOT)) for t in patterns for p in sorted(ROOT.glob(t))]
+        tree, [str(p.relative_to(tree)) for t in patterns for p in sorted(tree.glob(t))]
     )
     for module in modules:
         shutil.copy2(ROOT / module, tree / module)
@@ -267,7 +267,8 @@ def _count(
     score.n_survived += 1
     verdict = f"explained: {reasons[0]}" if reasons else f"survived {n_tests} tests"
     place = f"  {mutant.module}:{mutant.line}: {verdict}"
-    score.lines += [place, f"    - {mutant.old}", f"    + {mutant.new}"]
+    # At once: a run of an hour that is cut off has shown what it found.
+    print(place, f"    - {mutant.old}", f"    + {mutant.new}", sep="\n", flush=True)
 
 
 def tests_of(mutant: Mutant, code: str, tests: list[Test]) -> list[Test]:

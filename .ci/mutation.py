@@ -6,9 +6,11 @@ import ast
 import re
 from dataclasses import dataclass
 from difflib import ndiff
+from itertools import accumulate
 from pathlib import Path
 
 import libcst
+from libcst.metadata import MetadataWrapper, WhitespaceInclusivePositionProvider
 from mutmut.mutation.file_mutation import Mutation, create_mutations
 
 #: Number that is not changed by one, which would be less than a part in a hundred.
@@ -36,15 +38,37 @@ def mutants_of(root: Path, name: str) -> list[Mutant]:
     """Mutants of a module, other than those of texts, those that mypy finds, and small ones."""
     code = (root / name).read_text()
     module, mutations, _, _ = create_mutations(name, code)
+    splice = _Splice(module, code)
     mutants = []
     for mutation in mutations:
         if _is_found_by_types(mutation) or _is_small(mutation):
             continue
-        changed = module.deep_replace(mutation.original_node, mutation.mutated_node)
-        mutant = _mutant(name, code, changed.code)
+        mutant = _mutant(name, code, splice.code_of(mutation))
         if _TEXT.sub("", mutant.old) != _TEXT.sub("", mutant.new):
             mutants.append(mutant)
     return mutants
+
+
+class _Splice:
+    """Texts of a module with one expression in place of another."""
+
+    def __init__(self, module: libcst.Module, code: str) -> None:
+        self._module = module
+        self._code = code
+        self._starts = [0, *accumulate(map(len, code.splitlines(keepends=True)))]
+        wrapper = MetadataWrapper(module, unsafe_skip_copy=True)
+        self._places = wrapper.resolve(WhitespaceInclusivePositionProvider)
+
+    def code_of(self, mutation: Mutation) -> str:
+        old = mutation.original_node
+        new = mutation.mutated_node
+        place = self._places[old]
+        start = self._starts[place.start.line - 1] + place.start.column
+        end = self._starts[place.end.line - 1] + place.end.column
+        if "\n" in self._code[start:end]:
+            # Only the whole module knows how far its lines are indented: 15 ms.
+            return str(self._module.deep_replace(old, new).code)
+        return self._code[:start] + self._module.code_for_node(new) + self._code[end:]
 
 
 def _mutant(module: str, code: str, changed: str) -> Mutant:

@@ -12,6 +12,7 @@ from sparseskin.messages import PhiState, Reason
 from sparseskin.nodes.compressor.phi.base import make_phi
 from sparseskin.nodes.compressor.phi.rotation import row_subsets
 from sparseskin.nodes.reconstructor import patch as patches
+from sparseskin.nodes.reconstructor.limits import OTHER_ROWS
 from sparseskin.nodes.reconstructor.patch import Patch
 from sparseskin.nodes.reconstructor.settings import ReconstructorSettings
 from sparseskin.nodes.sensor.noise import NoiseModel
@@ -45,14 +46,17 @@ def announced(phi, rows="fixed"):
 class Bench:
     """A patch and the row subsets of its Phi."""
 
-    def __init__(self, rows="fixed", live=False, rate_hz=100.0, **stated):
+    def __init__(
+        self, rows="fixed", live=False, skin=None, phi=PHI, alike=None, **stated
+    ):
         self.lines = []
         settings = ReconstructorSettings(**{"fast": "off"} | stated)
         self.patch = Patch(settings, self.lines.append)
-        self.subsets = row_subsets(PHI, rows)
-        state = skin_state(**SKIN, rate_hz=rate_hz)
+        self.subsets = row_subsets(phi, rows)
+        state = skin_state(**SKIN | (skin or {}))
+        announcement = announced(self.subsets[0], rows)
         self.stated = self.patch.set_up(
-            settings, self.subsets, state, announced(self.subsets[0], rows), live
+            settings, self.subsets, state, announcement, live, alike
         )
         self.patch.set_noise(state)
         self.n_frames = 0
@@ -110,6 +114,39 @@ def test_of_missing_taxels_nothing_is_known():
     known = ~cells((3, 4), (9, 9))
     assert (solved.sd[known] < F_MAX).all()
     assert (bench.frame(FRAMES[-1]).sd < F_MAX).all()
+
+
+def test_a_patch_that_is_told_of_no_missing_reading_misses_none():
+    bench = Bench()
+    bench.patch.read(PHI, PHI.forward(FRAMES[0].reshape(-1)))
+    bench.patch.solve()
+    assert bench.patch.check().reason == ""
+
+
+def on_mask(mask):
+    """A bench of a skin on which some cells do not exist."""
+    n = int(mask.sum())
+    return Bench(phi=make_phi("sbhe", n, n // 2, seed=0), skin={"mask": mask})
+
+
+def test_masked_cells_have_no_force():
+    mask = ~cells((3, 4), (8, 8), (8, 9))
+    bench = on_mask(mask)
+    for readings in FRAMES:
+        solved = bench.frame(readings[mask])
+    assert not solved.forces[~mask].any()
+    assert solved.forces[mask].max() > 0.3
+
+
+def test_a_cell_that_does_not_exist_is_no_neighbour_whose_reading_is_known():
+    mask = np.ones(SHAPE, dtype=np.bool_)
+    mask[7:10, 7:10] = False
+    mask[8, 8] = True
+    bench = on_mask(mask)
+    bench.patch.set_missing(cells((8, 8)))
+    assert bench.patch._reason("") == Reason.MISSING
+    bench.patch.set_missing(cells((6, 6)))
+    assert bench.patch._reason("") == ""
 
 
 def test_without_the_setting_no_uncertainty_is_stated():
@@ -173,6 +210,151 @@ def test_a_frame_that_is_kept_has_the_last_forces_and_is_looked_at():
     assert bench.patch.solved.reason == Reason.CONSTANT
 
 
+def test_a_frame_that_was_not_sent_has_the_last_forces_and_the_reasons_of_now():
+    bench = Bench()
+    for readings in FRAMES:
+        last = bench.frame(readings)
+    bench.patch.rest()
+    rested = bench.patch.solved
+    np.testing.assert_array_equal(rested.forces, last.forces)
+    assert rested.iterations == 0
+    assert rested.solve_ns == 0
+    assert rested.reason == ""
+    bench.patch.sensed = Reason.STUCK
+    bench.patch.rest()
+    assert bench.patch.solved.reason == Reason.STUCK
+
+
+def test_the_first_frame_that_holds_nothing_is_of_zeros():
+    bench = Bench()
+    y = np.full(PHI.m, 0.3, dtype=np.float32)
+    bench.patch.read(PHI, y)
+    bench.patch.solve()
+    solved = bench.patch.check()
+    assert solved.reason == Reason.CONSTANT
+    assert not solved.forces.any()
+    assert solved.residual == pytest.approx(0.3)
+
+
+def test_faults_are_logged_and_measured_by_the_noise_and_range_of_the_skin():
+    bench = Bench()
+    for _ in range(6):
+        bench.frame(FRAMES[-1])
+    assert len(bench.lines) == 1
+    silent = Bench(skin={"sigma_mid": 0.0, "sigma_end": 0.0})
+    for _ in range(6):
+        assert silent.frame(FRAMES[-1]).reason != Reason.FROZEN
+    small = Bench(skin={"f_max": F_MAX / 10})
+    for readings in FRAMES:
+        solved = small.frame(readings)
+    assert solved.reason == Reason.RANGE
+
+
+@pytest.mark.parametrize(
+    ("watch_rows", "is_subtracted"), [(True, True), (False, False)]
+)
+def test_an_offset_is_subtracted_where_rows_are_watched(watch_rows, is_subtracted):
+    side = 32
+    phi = make_phi("sbhe", side**2, side**2 // 2, seed=0)
+    skin = {"n_rows": side, "n_cols": side}
+    bench = Bench(phi=phi, skin=skin, watch_rows=watch_rows)
+    rest = noisy(np.zeros((8, side, side), dtype=np.float32))
+    for k, readings in enumerate(rest):
+        y = phi.forward(readings.reshape(-1))
+        bench.patch.read(phi, y if k < 4 else y + np.float32(0.7))
+        bench.patch.solve()
+        bench.patch.check()
+    assert (bench.patch.faults.text != "") == is_subtracted
+
+
+@pytest.mark.parametrize(
+    ("sigmas", "f_min"), [((0.06, 0.02), 0.0), ((0.06, 0.02), -1.0), ((0.0, 0.0), 0.0)]
+)
+def test_the_solver_has_the_noise_that_the_skin_states(sigmas, f_min):
+    skin = {"sigma_mid": sigmas[0], "sigma_end": sigmas[1], "f_min": f_min}
+    solver = Bench(skin=skin).patch.solver
+    assert solver.noise_sd == pytest.approx(sigmas[1] if f_min else 0.584 * sigmas[1])
+    if not any(sigmas):
+        assert solver.noise_model is None
+        return
+    expected = NoiseModel(F_MAX, *sigmas, clips=not f_min)
+    assert vars(solver.noise_model) == vars(expected)
+
+
+def budget_of(monkeypatch, **stated):
+    """Time of a frame that a patch plans with, seconds; None if it plans with none."""
+    budgets = []
+
+    def steps(solver, phi, f_max, budget_s):
+        budgets.append(budget_s)
+        return 2, 0.001
+
+    monkeypatch.setattr(patches, "steps_within", steps)
+    Bench(**stated)
+    return budgets[0] if budgets else None
+
+
+@pytest.mark.parametrize("rate_hz", [20.0, 250.0])
+@pytest.mark.parametrize("n_patches", [1, 4])
+def test_half_of_the_time_between_live_frames_is_shared_by_the_patches(
+    monkeypatch, rate_hz, n_patches
+):
+    names = tuple(f"p{k}" for k in range(n_patches)) if n_patches > 1 else ()
+    stated = {"live": True, "skin": {"rate_hz": rate_hz}, "patches": names}
+    budget_s = budget_of(monkeypatch, **stated)
+    assert budget_s == pytest.approx(0.5 / rate_hz / n_patches)
+
+
+@pytest.mark.parametrize(
+    "stated",
+    [
+        {"live": False},
+        {"live": True, "skin": {"rate_hz": 0.0}},
+        {"live": True, "options": {"iterations": 5}},
+        {"live": True, "solver": "fista", "basis": "haar"},
+    ],
+)
+def test_frames_that_wait_or_have_their_iterations_stated_have_no_budget(
+    monkeypatch, stated
+):
+    assert budget_of(monkeypatch, **stated) is None
+
+
+def test_a_stated_budget_comes_before_that_of_the_rate(monkeypatch):
+    stated = {"live": True, "budget_ms": 3.0, "skin": {"rate_hz": 20.0}}
+    assert budget_of(monkeypatch, **stated) == pytest.approx(0.003)
+
+
+def test_a_patch_of_the_same_skin_has_the_steps_of_the_first(monkeypatch):
+    monkeypatch.setattr(patches, "steps_within", lambda *_: (7, 0.002))
+    stated = {"solver": "fista", "basis": "haar", "iterations": 30, "budget_ms": 2.5}
+    first = Bench(**stated)
+    second = Bench(**stated, alike=first.patch)
+    assert second.stated["iterations"] == 7
+    assert second.stated["frame_ms"] == 0.0
+    assert second.frame(FRAMES[5]).iterations == 7
+
+
+def test_what_is_stated_of_a_solver_is_what_it_uses():
+    bench = Bench(solver="fista", basis="haar", iterations=20, lambda_n=0.004)
+    assert bench.stated["basis"] == "haar"
+    assert bench.stated["lambda_n"] == pytest.approx(0.004)
+    assert bench.stated["frame_ms"] == 0.0
+    assert "max_iterations" not in bench.stated
+    assert Bench().stated["lambda_n"] == 0.0
+
+
+@pytest.mark.parametrize(
+    ("preset", "rows", "n_lines"),
+    [("paper", "fixed", 1), ("skin", "fixed", 0), ("skin", "rotating", 0)],
+)
+def test_only_the_exact_method_of_the_paper_is_warned_of_other_rows(
+    preset, rows, n_lines
+):
+    lines = Bench(rows, preset=preset).lines
+    assert [OTHER_ROWS in line for line in lines] == [True] * n_lines
+
+
 def test_iterations_that_are_stated_are_those_of_a_frame():
     bench = Bench(solver="fista", basis="haar", iterations=7)
     assert bench.stated["iterations"] == 7
@@ -222,3 +404,36 @@ def test_contacts_are_followed_only_where_they_are_asked_for():
         bench.frame(readings)
         followed = bench.patch.contacts(10_000_000 * k)
     assert followed is not None
+    assert len(followed.fields["id"]) == 1
+    touch = sliding_disc(SHAPE, 20, touch_at=3)[-1]
+    assert followed.fields["total"][0] == pytest.approx(touch.sum(), rel=0.2)
+
+
+def ages(silence_ns):
+    """Age of a contact, seconds, of which nothing was sent for a while."""
+    bench = Bench(contacts=True)
+    for k, readings in enumerate(FRAMES):
+        bench.frame(readings)
+        before = bench.patch.contacts(10_000_000 * k)
+    now_ns = 10_000_000 * len(FRAMES) + silence_ns
+    bench.patch.pass_silence(now_ns)
+    bench.frame(FRAMES[-1])
+    after = bench.patch.contacts(now_ns + 10_000_000)
+    return before.fields["age_s"][0], after.fields["age_s"][0]
+
+
+def test_a_contact_ages_while_nothing_is_sent():
+    before_s, after_s = ages(silence_ns=10**9)
+    assert after_s - before_s > 0.9
+
+
+def test_what_counts_as_a_contact_may_be_changed():
+    bench = Bench(contacts=True)
+    for k, readings in enumerate(FRAMES):
+        bench.frame(readings)
+        bench.patch.contacts(10_000_000 * k)
+    strict = ReconstructorSettings(fast="off", contacts=True, contact_force=1e6)
+    bench.patch.set_limits(strict)
+    bench.frame(FRAMES[-1])
+    followed = bench.patch.contacts(10**9)
+    assert len(followed.fields["id"]) == 0

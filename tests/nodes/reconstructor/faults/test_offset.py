@@ -48,6 +48,96 @@ def test_an_offset_that_changes_is_followed_at_once(before, after, signs):
     assert value == pytest.approx(signs[1] * after, abs=0.01)
 
 
+ROWS = OffsetWatch(LEAST_SD).rows_of(PHI)
+#: An innovation of this size in all rows is one standard deviation of its mean.
+DEVIATION = LEAST_SD / np.sqrt(PHI.m)
+
+
+def same_in_all_rows(n_deviations):
+    return np.full(PHI.m, n_deviations * DEVIATION, dtype=np.float32)
+
+
+@given(
+    n_deviations=st.floats(1.0, 5.9) | st.floats(6.1, 100.0),
+    sign=st.sampled_from([-1, 1]),
+)
+def test_a_change_of_six_deviations_is_the_least_that_is_an_offset(n_deviations, sign):
+    watch = OffsetWatch(LEAST_SD)
+    value = watch.look(PHI, same_in_all_rows(sign * n_deviations))
+    expected = sign * n_deviations * DEVIATION if n_deviations > 6 else 0.0
+    assert value == pytest.approx(expected, rel=1e-4)
+    assert watch.value == value
+
+
+@given(
+    before=st.floats(20.0, 50.0),
+    after=st.floats(1.0, 5.9) | st.floats(6.1, 13.0),
+    signs=st.tuples(st.sampled_from([-1, 1]), st.sampled_from([-1, 1])),
+)
+def test_an_offset_that_falls_below_six_deviations_has_ended(before, after, signs):
+    watch = OffsetWatch(LEAST_SD)
+    watch.look(PHI, same_in_all_rows(signs[0] * before))
+    value = watch.look(PHI, same_in_all_rows(signs[1] * after))
+    expected = signs[1] * after * DEVIATION if after > 6 else 0.0
+    assert value == pytest.approx(expected, rel=1e-4)
+
+
+@given(
+    block=st.integers(0, len(ROWS.starts) - 1),
+    z=st.floats(0.0, 3.9) | st.floats(4.1, 8.0),
+    sign=st.sampled_from([-1, 1]),
+)
+def test_a_block_may_differ_by_four_deviations_of_its_mean(block, z, sign):
+    n_light = ROWS.n_light[block]
+    n_all = ROWS.n_light.sum()
+    # By so much the mean of the block exceeds that of all.
+    excess = z * LEAST_SD / np.sqrt(n_light)
+    added = sign * excess / (1 - n_light / n_all)
+    change = same_in_all_rows(50) + np.where(ROWS.block == block, added, 0)
+    value = OffsetWatch(LEAST_SD).look(PHI, change.astype(np.float32))
+    expected = 50 * DEVIATION + added * n_light / n_all if z < 4 else 0.0
+    assert value == pytest.approx(expected, rel=1e-3)
+
+
+@given(press=st.floats(-30.0, 30.0), n_deviations=st.floats(30.0, 100.0))
+def test_rows_that_sum_a_whole_block_show_no_offset(press, n_deviations):
+    change = same_in_all_rows(n_deviations)
+    change[~ROWS.light] += np.float32(press)
+    # Unless their mean hides it.
+    if abs(change.mean()) < 30 * DEVIATION:
+        return
+    value = OffsetWatch(LEAST_SD).look(PHI, change)
+    assert value == pytest.approx(n_deviations * DEVIATION, rel=1e-3)
+
+
+def test_each_row_belongs_to_the_block_whose_first_row_comes_before_it():
+    expected = np.searchsorted(ROWS.starts, np.arange(PHI.m), side="right") - 1
+    np.testing.assert_array_equal(ROWS.block, expected)
+    assert ROWS.starts[0] == 0
+    np.testing.assert_array_equal(ROWS.n_light, np.bincount(ROWS.block, ROWS.light))
+
+
+@given(spread=st.floats(0.0, 3.0), n_deviations=st.floats(30.0, 60.0))
+def test_innovations_that_scatter_more_than_the_noise_need_a_larger_change(
+    spread, n_deviations
+):
+    """Rows of a block that differ by turns, so that their mean stays: their spread counts."""
+    turns = np.where(np.arange(PHI.m) % 2, 1.0, -1.0)
+    pairs = ROWS.light[:-1] & ROWS.light[1:] & (ROWS.block[:-1] == ROWS.block[1:])
+    scatter = np.zeros(PHI.m)
+    for row in np.flatnonzero(pairs)[::2]:
+        if not scatter[row] and not scatter[row + 1]:
+            scatter[row : row + 2] = turns[row : row + 2]
+    change = same_in_all_rows(n_deviations) + 20 * spread * LEAST_SD * scatter
+    variance = max((20 * spread) ** 2 * np.mean(scatter**2), 1.0)
+    z = n_deviations / np.sqrt(variance)
+    if abs(z - 6) < 0.2:
+        return
+    value = OffsetWatch(LEAST_SD).look(PHI, change.astype(np.float32))
+    expected = n_deviations * DEVIATION if z > 6 else 0.0
+    assert value == pytest.approx(expected, rel=1e-3)
+
+
 def test_noise_is_no_offset():
     watch = OffsetWatch(LEAST_SD)
     values = [watch.look(PHI, innovation(seed)) for seed in range(1000)]

@@ -56,6 +56,100 @@ def test_a_frame_that_repeats_four_times_is_frozen_whatever_its_rows(
     assert found == [None] * (n_before + FRAMES) + [Reason.FROZEN] * 3
 
 
+def frozen_at(m, n_frames=60):
+    """Number of times a frame of m measurements repeats until it is frozen."""
+    found = reasons_of([noise(3, m)] * n_frames)
+    return found.index(Reason.FROZEN)
+
+
+@given(m=st.integers(2, 60))
+def test_a_frame_of_few_measurements_repeats_more_often_by_chance(m):
+    """A measurement of one bit repeats in every other frame: of 10^9 cases one lasts 30 bits."""
+    assert frozen_at(m) == max(4, -(-30 // m))
+
+
+@given(m=st.integers(8, 200), n_tied=st.integers(1, 7), sign=st.sampled_from([-1, 1]))
+def test_four_measurements_that_share_an_extreme_value_are_clipped(m, n_tied, sign):
+    y = np.sort(noise(m, m)) * np.float32(sign)
+    extreme = y.max() if sign > 0 else y.min()
+    y[:n_tied] = y[0]
+    y[-1] = extreme
+    found = RepeatWatch(SIGMA).look("a", y)
+    assert found is (Reason.CLIPPED if n_tied >= 4 else None)
+
+
+@given(steps=st.sampled_from([0.5, 1.0, 1.5, 1.9, 2.0, 2.5]), seed=st.integers(0, 9))
+def test_equal_codes_are_no_fault_where_a_step_is_twice_the_noise(steps, seed):
+    noise_sd = 0.25
+    y = Quantised.of(np.full(400, seed, np.int32), 8, steps * noise_sd)
+    found = RepeatWatch(noise_sd).look("a", y)
+    assert found is (Reason.CONSTANT if steps < 2 else None)
+
+
+def lively_after(frames):
+    watch = RepeatWatch(0.0)
+    for y in frames:
+        watch.look("a", y)
+    return watch.is_lively
+
+
+def test_ten_frames_that_change_show_that_there_is_noise():
+    assert not lively_after([noise(k) for k in range(10)])
+    assert lively_after([noise(k) for k in range(11)])
+
+
+@given(part=st.floats(0.05, 0.95))
+def test_the_part_that_changes_is_a_running_mean_of_twenty_frames(part):
+    """Of frames that all change, then some of which the first part repeats."""
+    m = 1000
+    frames = [noise(k, m) for k in range(60)]
+    lively = 1.0
+    for k in range(40, 60):
+        n_same = int(part * m)
+        frames[k][:n_same] = frames[k - 1][:n_same]
+        lively += (1 - n_same / m - lively) / 20
+        # Beside the bound, rounding decides.
+        if abs(lively - 0.98) > 1e-6:
+            assert lively_after(frames[: k + 1]) == (lively >= 0.98)
+
+
+def test_of_measurements_half_of_which_repeat_one_needs_thirty_repeats():
+    """As 2^-30 is one of 10^9."""
+    rng = np.random.default_rng(0)
+    watch = RepeatWatch(SIGMA)
+    y = noise(0)
+    first = None
+    for k in range(1, 60):
+        changes = rng.random(M) < 0.5
+        changes[77] = False
+        y = np.where(changes, noise(k), y)
+        watch.look("a", y)
+        if watch.faulty is not None and first is None:
+            first = k
+            assert np.flatnonzero(watch.faulty).tolist() == [77]
+    assert 28 <= first <= 34
+
+
+@given(m=st.integers(40, 600), seed=st.integers(0, 99))
+def test_quantised_measurements_of_which_one_sticks_are_found(m, seed):
+    rng = np.random.default_rng(seed)
+    watch = RepeatWatch(SIGMA)
+    for _ in range(60):
+        codes = np.rint(rng.normal(0, 20, m)).astype(np.int32)
+        codes[7] = 3
+        watch.look("a", Quantised.of(codes, 12, SIGMA / 20))
+    assert np.flatnonzero(watch.faulty).tolist() == [7]
+
+
+def test_frames_of_subsets_of_other_sizes_do_not_repeat_each_other():
+    frames = [np.full(5, k, np.float32) + np.arange(5) for k in range(2)]
+    watch = RepeatWatch(SIGMA)
+    for k in range(20):
+        y = frames[0] if k % 2 else frames[0][:4]
+        watch.look("ab"[k % 2], y.astype(np.float32) + np.float32(k))
+    assert watch.look("b", frames[1].astype(np.float32)) is None
+
+
 def test_a_cycle_of_frames_that_repeats_is_frozen():
     cycle = [noise(k) for k in range(3)]
     found = reasons_of(cycle * 3, subsets="abc")

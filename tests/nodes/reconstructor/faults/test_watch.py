@@ -10,8 +10,9 @@ from pressed import noisy, sliding_disc
 
 from sparseskin import Stream
 from sparseskin.messages import Reason
-from sparseskin.nodes.compressor.phi.base import make_phi
+from sparseskin.nodes.compressor.phi.base import Phi, make_phi
 from sparseskin.nodes.compressor.phi.rotation import row_subsets
+from sparseskin.nodes.errors import SolverError
 from sparseskin.nodes.reconstructor.bases.base import make_basis
 from sparseskin.nodes.reconstructor.faults.watch import (
     MOST_NAMED,
@@ -20,6 +21,7 @@ from sparseskin.nodes.reconstructor.faults.watch import (
     listed,
     mixed_taxels,
     solve_watched,
+    watch_of,
 )
 from sparseskin.nodes.reconstructor.solvers.base import make_rotating_solver
 from sparseskin.nodes.sensor.noise import NoiseModel
@@ -74,7 +76,7 @@ class Plain:
 
 @pytest.mark.parametrize(
     ("largest", "returned", "reason"),
-    [(2.4, 2.4, ""), (2.6, 2.5, ""), (2.74, 2.5, ""), (2.8, 2.8, Reason.RANGE)],
+    [(2.4, 2.4, ""), (2.6, 2.5, ""), (2.75, 2.5, ""), (2.8, 2.8, Reason.RANGE)],
 )
 def test_forces_beyond_the_range_by_more_than_a_tenth_are_marked(
     largest, returned, reason
@@ -85,6 +87,107 @@ def test_forces_beyond_the_range_by_more_than_a_tenth_are_marked(
     verdict = watch.look(Plain(), PHI, forces)
     assert verdict.forces[3, 4] == np.float32(returned)
     assert verdict.reason == reason
+
+
+@given(f_max=st.floats(1e-3, 1e3), part=st.floats(0.0, 0.99) | st.floats(1.11, 9.0))
+def test_the_range_is_that_of_the_skin(f_max, part):
+    forces = np.full(SHAPE, part * f_max, dtype=np.float32)
+    verdict = FaultWatch(Noise(f_max), SHAPE).look(Plain(), PHI, forces)
+    assert verdict.reason == (Reason.RANGE if part > 1 else "")
+    np.testing.assert_array_equal(verdict.forces, forces)
+
+
+def doubting(doubt):
+    """A solver that doubts its measurements, by number."""
+    solver = Plain()
+    solver.doubt = np.zeros(PHI.m, dtype=np.float32)
+    for row, value in doubt.items():
+        solver.doubt[row] = value
+    return solver
+
+
+def test_a_measurement_is_doubted_once_the_mean_doubt_is_above_a_half():
+    """With a rate of 0.2, 1 - 0.8^4 is the first one above."""
+    watch = FaultWatch(Noise(F_MAX), SHAPE)
+    forces = np.zeros(SHAPE, dtype=np.float32)
+    rows = [watch.look(doubting({5: 1.0}), PHI, forces).rows for _ in range(6)]
+    assert rows == [()] * 3 + [(5,)] * 3
+    # 1 - 0.8^6 takes two frames to fall below.
+    rows = [watch.look(doubting({}), PHI, forces).rows for _ in range(3)]
+    assert rows == [(5,), (), ()]
+
+
+def test_measurements_of_all_row_subsets_are_doubted():
+    watch = FaultWatch(Noise(F_MAX), SHAPE)
+    forces = np.zeros(SHAPE, dtype=np.float32)
+    first, second = row_subsets(PHI, "rotating")[:2]
+    for _ in range(4):
+        watch.look(doubting({9: 1.0}), first, forces)
+        verdict = watch.look(doubting({2: 1.0, 9: 1.0}), second, forces)
+    assert verdict.rows == (2, 9)
+    for _ in range(4):
+        verdict = watch.look(doubting({}), second, forces)
+    assert verdict.rows == (9,)
+
+
+def test_lines_name_the_measurements_that_are_doubted_anew():
+    lines = []
+    watch = FaultWatch(Noise(F_MAX), SHAPE, lines.append)
+    forces = np.zeros(SHAPE, dtype=np.float32)
+    for k in range(12):
+        watch.look(doubting({5: 1.0} | ({8: 1.0} if k >= 6 else {})), PHI, forces)
+    assert [line.rpartition(": ")[2] for line in lines] == ["5", "8"]
+
+
+@given(n=st.integers(1, 120))
+def test_of_lines_of_one_kind_the_first_three_and_each_tenth_hundredth_are_logged(n):
+    lines = []
+    watch = FaultWatch(Noise(F_MAX, LEAST_SD), SHAPE, lines.append)
+    constant = np.zeros(PHI.m, dtype=np.float32)
+    for k in range(n):
+        watch.glance(PHI, constant)
+        watch.glance(PHI, np.random.default_rng(k).normal(size=PHI.m).astype("f4"))
+    assert len(lines) == min(n, 3) + (n >= 10) + (n >= 100)
+
+
+class Sums(Phi):
+    """A matrix whose i-th row sums the first `counts[i]` taxels."""
+
+    kind = "sums"
+
+    def __init__(self, counts):
+        super().__init__(max(*counts, 16, len(counts)), len(counts), 0)
+        self.counts = counts
+        self.fingerprint = f"{hash(tuple(counts)):016x}"
+
+    @property
+    def lipschitz(self):
+        return float(self.n * self.m)
+
+    def _forward(self, x, out):
+        out[:] = [x[:count].sum() for count in self.counts]
+
+    def _adjoint(self, y, out):
+        out[:] = 0
+        for count, value in zip(self.counts, y, strict=True):
+            out[:count] += value
+
+
+@given(counts=st.lists(st.integers(1, 40), min_size=2, max_size=8))
+def test_the_taxels_that_a_matrix_mixes_are_the_median_of_those_of_its_rows(counts):
+    middle = sorted(counts)[len(counts) // 2]
+    assert mixed_taxels(Sums(counts)) == pytest.approx(middle)
+
+
+@given(count=st.integers(1, 40), m=st.integers(9, 60))
+def test_rows_that_sum_as_many_taxels_mix_these(count, m):
+    assert mixed_taxels(Sums([count] * m)) == pytest.approx(count)
+
+
+@pytest.mark.parametrize(("count", "reason"), [(7, ""), (8, Reason.CONSTANT)])
+def test_measurements_of_eight_taxels_each_are_watched(count, reason):
+    watch = FaultWatch(Noise(F_MAX, LEAST_SD), SHAPE)
+    assert watch.glance(Sums([count] * 9), np.zeros(9, dtype=np.float32)) == reason
 
 
 def spoilt_by(kind, rng):
@@ -253,6 +356,8 @@ def test_measurements_mix_taxels_but_for_single_ones(kind, is_mixed):
 
 def test_few_names_are_listed_and_more_counted():
     assert listed([3, 5]) == "3, 5"
+    assert listed([*range(MOST_NAMED)]) == ", ".join(map(str, range(MOST_NAMED)))
+    assert listed([*range(MOST_NAMED + 2)]).startswith("0, 1, ")
     assert listed([*range(MOST_NAMED + 2)]).endswith(f", {MOST_NAMED - 1} and 2 more")
 
 
@@ -292,6 +397,10 @@ def test_of_several_reasons_the_first_is_stated(reasons):
         (0.9 * LEAST_SD, 0.0, Reason.WEAK),
         (0.9 * LEAST_SD, F_MAX, Reason.ERROR),
         (1.1 * LEAST_SD, 0.0, Reason.ERROR),
+        (LEAST_SD, 0.0, Reason.WEAK),
+        (0.9 * LEAST_SD, 0.011, Reason.WEAK),
+        (0.9 * LEAST_SD, 4.9 * LEAST_SD, Reason.WEAK),
+        (0.9 * LEAST_SD, 5.1 * LEAST_SD, Reason.ERROR),
         (None, 0.0, Reason.ERROR),
     ],
 )
@@ -303,6 +412,50 @@ def test_forces_and_error_within_the_stated_noise_are_weak(error, largest, reaso
     forces = np.zeros(SHAPE, dtype=np.float32)
     forces[3, 4] = largest
     assert watch.look(solver, PHI, forces).reason == reason
+
+
+def test_a_solver_that_states_no_error_is_not_weak():
+    solver = Plain()
+    solver.trusted = False
+    watch = FaultWatch(Noise(F_MAX, LEAST_SD), SHAPE)
+    forces = np.zeros(SHAPE, dtype=np.float32)
+    assert watch.look(solver, PHI, forces).reason == Reason.ERROR
+
+
+def alone(**fields):
+    """A solver that is used by itself."""
+    solver = make_rotating_solver("skin", [PHI], make_basis("haar", *SHAPE))
+    for name, value in fields.items():
+        setattr(solver, name, value)
+    return solver
+
+
+def test_a_solver_alone_has_one_watch_with_its_noise():
+    solver = alone(noise_sd=LEAST_SD)
+    watch = watch_of(solver)
+    assert watch_of(solver) is watch
+    assert watch.last_forces.shape == SHAPE
+    assert watch.glance(PHI, np.zeros(PHI.m, dtype=np.float32)) == Reason.CONSTANT
+    # Without stated noise, equal measurements may be right.
+    silent = watch_of(alone())
+    assert silent.glance(PHI, np.zeros(PHI.m, dtype=np.float32)) == ""
+
+
+@pytest.mark.parametrize(("noise", "reason"), [(None, ""), (NOISE, Reason.RANGE)])
+def test_the_range_of_a_solver_alone_is_known_by_its_noise(noise, reason):
+    solver = alone(noise_model=noise)
+    forces = np.full(SHAPE, 2 * F_MAX, dtype=np.float32)
+    assert watch_of(solver).look(Plain(), PHI, forces).reason == reason
+
+
+def test_measurements_that_the_solver_cannot_use_are_refused_and_not_looked_at():
+    watched = Watched()
+    phi = watched.next_phi()
+    huge = np.full(PHI.m, 10 * watched.solver.y_max, dtype=np.float32)
+    for wrong in (huge, np.full(PHI.m - 1, 1, np.float32)):
+        with pytest.raises(SolverError):
+            watched.watch.receive(watched.solver, phi, wrong)
+    assert watched.lines == []
 
 
 def test_a_stream_that_is_reset_looks_at_frames_anew():
