@@ -9,12 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from sparseskin.messages import (
-    Contacts,
-    Measurements,
-    Message,
-    SkinState,
-)
+from sparseskin.messages import Contacts, Measurements, Message, SkinState
 from sparseskin.messages.fields import Flag, Integer, Real
 from sparseskin.messages.frames import kinds_alone, values_alone
 from sparseskin.nodes.files import OutputError, whole_file
@@ -82,9 +77,8 @@ def export_foxglove(
                 writer.write_metadata("counts", {JSON_KEY: json.dumps(bag.counts)})
 
             channels = Channels(context)
-            for message, log_time_ns in streams(
-                bag, with_states(bag, frame_topics), "export"
-            ):
+            topics_read = with_states(bag, frame_topics)
+            for message, log_time_ns in streams(bag, topics_read, "export"):
                 if isinstance(message, STATES):
                     channel = channels.of(message.topic, "json")
                     channel.log(state_json(message), log_time=log_time_ns)
@@ -105,14 +99,13 @@ class Channels(dict[str, Any]):
         from foxglove import channels
 
         if topic not in self:
-            channel_of = foxglove.Channel
-            options = dict[str, Any]()
+            channel_of: Any = foxglove.Channel
+            options: dict[str, Any] = {"schema": schema}
             if schema == "json":
                 options = {"message_encoding": "json"}
             elif isinstance(schema, str):
                 channel_of = getattr(channels, f"{schema}Channel")
-            else:
-                options = {"schema": schema}
+                options = {}
             self[topic] = channel_of(topic, context=self._context, **options)
         return self[topic]
 
@@ -162,11 +155,11 @@ def contents(
 def figure_names(cls: type[Message]) -> list[str]:
     """Names of the numbers of a message class; of frames the sum first."""
     fields = kinds_alone(cls)
-    names = [
-        name for name, kind in fields.items() if isinstance(kind, Real | Integer | Flag)
-    ]
-    total = ["total_force"] if "forces" in fields else []
-    return total + [name for name in names if name not in ("run_id", "seq")]
+    names = ["total_force"] if "forces" in fields else []
+    for name, kind in fields.items():
+        if isinstance(kind, Real | Integer | Flag) and name not in ("run_id", "seq"):
+            names.append(name)
+    return names
 
 
 def figures_of(message: Message) -> dict[str, float]:
@@ -255,14 +248,14 @@ def contact_scene(message: Contacts, skin: SkinState) -> Any:
 
     entities = []
     for shape in shapes(message, skin):
-        entities.append(
-            primitives.SceneEntity(
-                timestamp=at,
-                frame_id=message.patch,
-                id=str(shape.id),
-                **_contact_primitives(shape, middle, colour),
-            )
+        entity = primitives.SceneEntity(
+            timestamp=at,
+            frame_id=message.patch,
+            id=str(shape.id),
+            **_contact_primitives(shape, middle, colour),
         )
+        entities.append(entity)
+    # Contacts that have ended would stay otherwise.
     everything = primitives.SceneEntityDeletion(
         timestamp=at, type=primitives.SceneEntityDeletionType.All
     )
@@ -305,9 +298,9 @@ def _contact_primitives(shape: Shape, middle: Doubles, colour: Any) -> dict[str,
 def _turn_from_x(direction: Doubles) -> tuple[float, float, float, float]:
     """Quaternion x, y, z, w of the shortest turn of the x axis into a unit vector."""
     x, y, z = direction.tolist()
+    # From x to -x every turn is as short: one about z is taken.
     if x < -0.999999:
         return (0.0, 0.0, 1.0, 0.0)
-    # From x to -x every turn is as short: one about z is taken above.
     half = float(np.sqrt(2 + 2 * x))
     return (0.0, -z / half, y / half, half / 2)
 
@@ -329,9 +322,8 @@ def _fields(names: Iterable[str]) -> list[Any]:
     fields = []
     for k, name in enumerate(names):
         kind = types.Uint32 if name == ROW else types.Float32
-        fields.append(
-            PackedElementField(name=name, offset=FLOAT32_BYTES * k, type=kind)
-        )
+        offset = FLOAT32_BYTES * k
+        fields.append(PackedElementField(name=name, offset=offset, type=kind))
     return fields
 
 
