@@ -62,7 +62,8 @@ class RunLog:
                 if n_kept
                 else []
             )
-            for run in runs[: len(runs) - n_kept]:
+            n_surplus = max(0, len(runs) - n_kept)
+            for run in runs[:n_surplus]:
                 shutil.rmtree(run, ignore_errors=True)
 
     def write(self, line: str, now_s: float) -> None:
