@@ -94,5 +94,6 @@ def _remove_old_runs(parent: Path, n_kept: int) -> None:
     # Another launcher may remove the same folders.
     with contextlib.suppress(OSError):
         runs = sorted(parent.iterdir(), key=lambda run: run.lstat().st_mtime)
-        for run in runs[: len(runs) - n_kept]:
+        n_surplus = max(0, len(runs) - n_kept)
+        for run in runs[:n_surplus]:
             shutil.rmtree(run, ignore_errors=True)

@@ -25,6 +25,7 @@ from sparseskin.messages import (
     Truth,
     UnknownSchemaError,
     VersionError,
+    buffers,
     decode,
     encode,
 )
@@ -32,6 +33,7 @@ from sparseskin.messages.buffers import (
     ALIGNMENT,
     MARK,
     MAX_DESCRIPTION_BYTES,
+    MAX_STREAMS,
     frame_pieces,
     head_of,
     is_frame,
@@ -107,6 +109,13 @@ def test_wrong_sizes_topics_and_numbers_are_refused():
         ({"schema": "skin", "version": 1}, MalformedError),
         ({"version": 1}, VersionError),
         ({"texts": ["skin", ""]}, MalformedError),
+        ({"texts": ["skin", "", "", "", ""]}, MalformedError),
+        ({"texts": "abcd"}, MalformedError),
+        ({"texts": {"skin": "", "a": "", "b": "", "c": ""}}, MalformedError),
+        ({"texts": None}, MalformedError),
+        ({"arrays": [["forces", ["<f4", [1, 2, 3]]]]}, MalformedError),
+        ({"arrays": {}}, MalformedError),
+        ({"arrays": {"force": ["<f4", [1, 2, 3]]}}, MalformedError),
         ({"texts": ["Skin", "", ""]}, FieldError),
         ({"arrays": {"forces": ["<f8", [1, 2, 3]]}}, ShapeError),
         ({"arrays": {"forces": ["<f4", [1, 2, -3]]}}, ShapeError),
@@ -119,6 +128,14 @@ def test_wrong_descriptions_are_refused(change, error):
     described = msgpack.packb(msgpack.unpackb(description) | change)
     with pytest.raises(error):
         decode(topic, payload(described, *rest))
+
+
+def test_senders_of_ever_new_descriptions_do_not_fill_the_memory():
+    for k in range(MAX_STREAMS + 3):
+        message = Taxels(stamp_ns=k, patch=f"p{k}", forces=np.ones((1, 2), np.float32))
+        assert decode(*sent(message)) == message
+        assert len(buffers._STREAMS) <= MAX_STREAMS
+        assert len(buffers._DESCRIBED) <= MAX_STREAMS
 
 
 @pytest.mark.parametrize("numbers", [(-1, 0), (7, -1)])

@@ -7,7 +7,14 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 from message_strategies import skin_states
 
-from sparseskin.messages import FieldError, MessageError, PhiState, ShapeError
+from sparseskin.messages import (
+    FieldError,
+    Labels,
+    MessageError,
+    PhiState,
+    ShapeError,
+    SolverState,
+)
 from sparseskin.messages.fields import MAX_SIDE
 from sparseskin.messages.skin import (
     CONTACT_FRACTION,
@@ -211,6 +218,51 @@ def test_numbers_of_a_matrix_are_in_their_range(name, value, is_allowed):
         return
     with pytest.raises(MessageError):
         PhiState(stamp_ns=0, patch="skin", **fields)
+
+
+@pytest.mark.parametrize(
+    ("changes", "is_allowed"),
+    [
+        ({"iterations": 0}, True),
+        ({"iterations": -1}, False),
+        ({"iterations": 1_000_000}, True),
+        ({"iterations": 1_000_001}, False),
+        ({"max_iterations": 0}, True),
+        ({"max_iterations": -1}, False),
+        ({"lambda_n": -1e-9}, False),
+        ({"frame_ms": -1e-9}, False),
+        ({"step_tiles": -1}, False),
+    ],
+)
+def test_numbers_of_a_solver_are_in_their_range(changes, is_allowed):
+    fields = {"solver": "skin", "basis": "", "preset": "skin", "iterations": 3}
+    fields |= {"lambda_n": 0.0, **changes}
+    if is_allowed:
+        SolverState(stamp_ns=0, patch="skin", **fields)
+        return
+    with pytest.raises(MessageError):
+        SolverState(stamp_ns=0, patch="skin", **fields)
+
+
+@pytest.mark.parametrize(
+    ("changes", "is_allowed"),
+    [
+        ({"share": 0.0}, True),
+        ({"share": 1.0}, True),
+        ({"share": 1.01}, False),
+        ({"share": -0.01}, False),
+        ({"label": "a" * 64}, True),
+        ({"label": "a" * 65}, False),
+        ({"age_s": -0.01}, False),
+    ],
+)
+def test_numbers_of_a_label_are_in_their_range(changes, is_allowed):
+    fields = {"label": "box", "share": 0.5, "age_s": 0.0, "done_ns": 7, **changes}
+    if is_allowed:
+        assert Labels(stamp_ns=0, patch="skin", **fields).trusted
+        return
+    with pytest.raises(MessageError):
+        Labels(stamp_ns=0, patch="skin", **fields)
 
 
 @pytest.mark.parametrize(

@@ -33,7 +33,7 @@ from sparseskin.messages import (
 )
 from sparseskin.messages.buffers import MARK
 from sparseskin.messages.fields import Real
-from sparseskin.messages.wire import MAX_MESSAGE_BYTES, is_end, wire_bytes
+from sparseskin.messages.wire import is_end, wire_bytes
 
 MISSING = object()
 
@@ -261,9 +261,13 @@ def test_the_largest_message_is_taken_and_a_larger_one_refused_before_it_is_read
     with pytest.raises(OversizedError):
         taxels(forces=np.ones((1025, 1024), np.float32))
     with pytest.raises(OversizedError):
-        decode(b"/skin/taxels", bytes(MAX_MESSAGE_BYTES + 1))
+        # Two of the largest arrays of four bytes an element, and 64 KiB.
+        decode(b"/skin/taxels", bytes(2 * 4 * 2**20 + 65537))
+    # Two names of 32 letters, and their slashes.
     with pytest.raises(OversizedError):
-        decode(b"/" * 10_000, b"\x80")
+        decode(b"/" * 67, b"\x80")
+    named = Taxels(stamp_ns=0, patch="p" * 32, forces=np.ones((1, 1), np.float32))
+    assert decode(*encode(named)) == named
 
 
 def test_a_mask_must_fit_the_grid_and_hold_booleans():

@@ -76,6 +76,31 @@ def test_each_node_that_is_not_ready_reports_what_it_waits_for():
     ]
 
 
+def test_a_node_that_is_no_player_waits_for_no_readers():
+    settings = SimpleNamespace(wait=2)
+    node = FakeNode("monitor", SimpleNamespace(settings=settings), ready=True)
+    assert waits_for(node, PART) == ""
+
+
+def test_readers_are_named_with_their_hosts():
+    node = FakeNode("compressor", lacks=["echo", "screen", "monitor"])
+    line = waits_for(node, PART)
+    assert line.endswith(" from echo on desk, screen on wall, monitor")
+
+
+def test_a_graph_on_one_host_knows_no_other():
+    alone = LaunchFile(*("drag", "", "ipc", {}, []), hosts={}, host="")
+    assert hosts_state(alone, [FakeNode()]) == {}
+
+
+def test_of_equal_clocks_the_first_is_kept_and_a_worse_one_not_used():
+    clocks = [(1_000_000, 500_000), (9_000_000, 500_000), (7_000_000, 600_000)]
+    nodes = [FakeNode(clocks={"desk": clock}) for clock in clocks]
+    state = hosts_state(PART, nodes)["desk"]
+    assert state["clock_offset_ms"] == pytest.approx(1.0)
+    assert state["heard"] is None
+
+
 def test_a_host_is_heard_where_all_that_is_read_there_is_and_its_best_known_clock_is_reported():
     desk, wall = hosts_state(
         PART,
@@ -113,6 +138,30 @@ def test_what_is_late_is_logged_after_a_while_and_again_now_and_then():
     assert logged == ["[launch] a", "[launch] a", "[launch] b"]
 
 
+def test_what_is_late_is_logged_after_five_seconds_and_then_each_thirty():
+    now_s = 0.0
+    times_s = []
+    log = LateLog(lambda: ["a"], lambda _: times_s.append(now_s), lambda: now_s)
+    for k in range(140):
+        now_s = 100.0 + k / 2
+        log.look()
+    assert times_s == [105.0, 135.0, 165.0]
+
+
+def test_what_is_no_longer_late_is_not_logged():
+    now_s = 100.0
+    late = ["a"]
+    logged = []
+    log = LateLog(lambda: list(late), logged.append, lambda: now_s)
+    log.look()
+    late.clear()
+    now_s = 200.0
+    log.look()
+    now_s = 400.0
+    log.look()
+    assert logged == []
+
+
 LATCHED, SENT = ({"published": {topic: 1}} for topic in ("/skin/skin", "/skin/taxels"))
 WAITS = "from another terminal: sparseskin monitor --graph drag, or sparseskin record --graph drag"
 
@@ -125,6 +174,11 @@ WAITS = "from another terminal: sparseskin monitor --graph drag, or sparseskin r
         ({"wait": 1}, {"counts": SENT}, ""),
         ({"lockstep": True}, {"state": {"paused": True}}, ""),
         ({"lockstep": True}, {"ended": True}, ""),
+        ({"lockstep": True}, {"failed": True}, ""),
+        ({"lockstep": True}, {"state": {}}, ""),
+        ({"lockstep": True}, {"counts": {}}, f"player waits for a reader; {WAITS}"),
+        ({"wait": 3}, {}, f"player waits for 3 readers; {WAITS}"),
+        ({"wait": 2, "lockstep": True}, {}, f"player waits for 2 readers; {WAITS}"),
         ({}, {}, ""),
     ],
 )

@@ -3,10 +3,13 @@
 import contextlib
 import os
 import signal
+from itertools import pairwise
 from pathlib import Path
 
 import pytest
 from conftest import PATIENCE_S, note_of_graph, wait_until
+from hypothesis import given
+from hypothesis import strategies as st
 
 from sparseskin.launch.attach.client import ask_node
 from sparseskin.launch.run.process import (
@@ -15,6 +18,8 @@ from sparseskin.launch.run.process import (
     MAX_LINE_BYTES,
     AwakeClock,
     LogLines,
+    _added,
+    exit_text,
 )
 from sparseskin.launch.run.running import GraphError, choose_graph
 
@@ -46,6 +51,82 @@ def test_lines_are_put_together_from_chunks_within_bounds_and_those_that_were_cu
     cut = f"{100_000 - n_kept} lines were cut (more than 100 kB a second)"
     assert (log.take(b"", 5.9), log.take(b"next\n", 6.0)) == ([], [cut, "next"])
     assert log.take(b"", 7.0) == []
+
+
+WORDS = st.lists(st.text("ab", min_size=1, max_size=12), max_size=12)
+
+
+@given(words=WORDS, cuts=st.lists(st.integers(0, 100), max_size=8))
+def test_lines_are_the_same_whatever_pieces_they_come_in(words, cuts):
+    text = "".join(f"{word}\n" for word in words).encode() + b"rest"
+    places = sorted({0, *(cut for cut in cuts if cut < len(text)), len(text)})
+    log = LogLines()
+    lines = []
+    for begin, end in pairwise(places):
+        lines += log.take(text[begin:end], 0.0)
+    assert lines == words
+    assert log.take(b"", 0.0, at_end=True) == ["rest"]
+
+
+@pytest.mark.parametrize(
+    ("n_bytes", "is_broken"), [(MAX_LINE_BYTES, False), (MAX_LINE_BYTES + 1, True)]
+)
+def test_a_line_without_an_end_is_broken_once_it_is_too_long(n_bytes, is_broken):
+    lines = LogLines().take(b"x" * n_bytes, 0.0)
+    assert lines == (["x" * n_bytes] if is_broken else [])
+
+
+@given(n_bytes=st.integers(1, 3000))
+def test_a_node_may_log_100_kb_a_second_each_line_counting_100_bytes_more(n_bytes):
+    log = LogLines()
+    n_lines = 1000
+    chunk = (b"x" * n_bytes + b"\n") * n_lines
+    lines = log.take(chunk, 50.0)
+    n_kept = min(n_lines, -(-100_000 // (n_bytes + 100)))
+    assert len(lines) == n_kept
+    later = log.take(b"next\n", 50.99)
+    assert (later == ["next"]) == (n_kept * (n_bytes + 100) < 100_000)
+    fresh = log.take(b"again\n", 51.0)
+    n_cut = n_lines - n_kept + (not later)
+    assert fresh[-1] == "again"
+    assert [int(line.split()[0]) for line in fresh[:-1]] == [n_cut] * (n_cut > 0)
+
+
+COUNTERS = st.dictionaries(st.sampled_from("abc"), st.integers(0, 99))
+
+
+@given(
+    first=st.dictionaries(st.sampled_from("xy"), COUNTERS),
+    second=st.dictionaries(st.sampled_from("xy"), COUNTERS),
+)
+def test_counters_of_two_runs_are_added_by_their_keys(first, second):
+    added = _added(first, second)
+    assert added.keys() == first.keys() | second.keys()
+    for key, counters in added.items():
+        before = first.get(key, {})
+        after = second.get(key, {})
+        expected = {k: before.get(k, 0) + after.get(k, 0) for k in {*before, *after}}
+        assert counters == expected
+
+
+@pytest.mark.parametrize(
+    ("code", "text"), [(0, "0"), (1, "1"), (-9, "SIGKILL"), (-15, "SIGTERM")]
+)
+def test_an_exit_code_is_named_by_its_number_or_signal(code, text):
+    assert exit_text(code).split()[-1] == text
+
+
+@given(st.lists(st.floats(0.0, 5.0), max_size=20))
+def test_a_clock_goes_on_by_a_second_at_most_each_time_it_is_read(steps_s):
+    now_s = 50.0
+    clock = AwakeClock(lambda: now_s)
+    before_s = clock()
+    assert before_s == now_s
+    for step_s in steps_s:
+        now_s += step_s
+        after_s = clock()
+        assert after_s - before_s == pytest.approx(min(step_s, 1.0), abs=1e-9)
+        before_s = after_s
 
 
 def test_a_launcher_hears_signals_while_a_node_floods_its_log(start, sensor, tmp_path):

@@ -103,6 +103,32 @@ def test_only_the_newest_runs_are_kept_in_the_default_folder(tmp_path):
     assert not names & {"drag-0", "drag-1"}
 
 
+@pytest.mark.parametrize("n_runs", [1, 3, 6])
+@pytest.mark.parametrize("n_kept", [1, 3, 5])
+def test_as_many_runs_are_kept_as_stated_the_new_one_included(tmp_path, n_runs, n_kept):
+    for k in range(n_runs):
+        (tmp_path / f"drag-{k}").mkdir()
+        os.utime(tmp_path / f"drag-{k}", (k, k))
+    log = RunLog(tmp_path, "drag", NOW_S, n_kept=n_kept)
+    log.close()
+    newest = [f"drag-{k}" for k in range(n_runs)][::-1][: n_kept - 1]
+    assert {path.name for path in tmp_path.iterdir()} == {log.folder.name, *newest}
+
+
+def test_a_log_that_is_closed_may_be_closed_again(tmp_path):
+    log = RunLog(tmp_path, "drag", NOW_S)
+    log.close()
+    log.close()
+    assert log.error == ""
+
+
+def test_a_line_of_several_lines_stays_with_its_node(tmp_path):
+    log = RunLog(tmp_path, "drag", NOW_S)
+    log.write("[sensor] one\ntwo", NOW_S)
+    log.close()
+    assert (log.folder / "sensor.log").read_text().endswith(" one\ntwo\n")
+
+
 def test_lines_stay_in_the_folder_of_the_run_whatever_is_put_in_its_place(tmp_path):
     log = RunLog(tmp_path / "logs", "drag", NOW_S)
     kept = tmp_path / "kept"

@@ -77,6 +77,37 @@ def test_a_launcher_that_is_killed_as_it_writes_its_note_leaves_nothing(written)
     assert (running_graphs(), list(runtime_folder().iterdir())) == ([], [])
 
 
+@pytest.mark.parametrize(("n_bytes", "is_refused"), [(88, False), (89, True)])
+def test_a_path_that_leaves_no_room_for_the_name_of_a_socket_is_refused(
+    monkeypatch, n_bytes, is_refused
+):
+    """Of the 107 bytes of a path, `/4194304.9999.sock` takes 19 at most."""
+    with tempfile.TemporaryDirectory(prefix="s") as parent:
+        name = "x" * (n_bytes - len(parent) - 1)
+        monkeypatch.setenv("SPARSESKIN_RUNTIME_DIR", f"{parent}/{name}")
+        if is_refused:
+            with pytest.raises(GraphError):
+                runtime_folder()
+            return
+        longest = runtime_folder() / "4194304.9999.sock"
+        with socket.socket(socket.AF_UNIX) as served:
+            served.bind(str(longest))
+
+
+def test_a_note_that_is_gone_is_removed_again_without_an_error():
+    write_note(graph())
+    running.remove_note(graph())
+    running.remove_note(graph())
+    assert list(runtime_folder().iterdir()) == []
+
+
+def test_each_topic_of_a_graph_has_the_name_of_its_writer():
+    assert graph().writers() == {"/skin/skin": "sensor", "/skin/taxels": "sensor"}
+    assert graph().label == "path_40-7"
+    assert not graph().starting
+    assert replace(graph(), nodes={}).starting
+
+
 def test_which_of_several_graphs_has_to_be_said(tmp_path, monkeypatch, capsys):
     with pytest.raises(GraphError, match="no graph runs"):
         choose_graph(None)

@@ -54,6 +54,35 @@ def test_each_restart_waits_twice_as_long_up_to_the_longest():
     assert list(restarts.failures) == [*"0123456"]
 
 
+def test_by_default_a_sixth_failure_within_a_minute_is_one_too_many():
+    restarts = Restarts(RestartPolicy(ON_FAILURE))
+    waits_s = []
+    for k in range(5):
+        assert restarts.failed(100.0 + 10 * k, "died") is None
+        waits_s.append(restarts.due_s - 100.0 - 10 * k)
+    assert waits_s == [0.25, 0.5, 1.0, 2.0, 4.0]
+    assert restarts.failed(159.9, "died")
+    assert restarts.total == 5
+    # A minute after the first one, one more is allowed.
+    assert restarts.failed(160.0, "died") is None
+    assert restarts.due_s == 160.0 + 4.0
+    assert restarts.total == 6
+
+
+def test_by_default_the_longest_wait_is_five_seconds_and_a_hang_ten():
+    restarts = Restarts(RestartPolicy(ON_FAILURE, max_restarts=9))
+    for k in range(8):
+        restarts.failed(100.0, f"{k}")
+    assert restarts.due_s == 105.0
+    assert RestartPolicy().hang_s == 10.0
+    assert not RestartPolicy().restarts
+
+
+def test_a_policy_that_is_not_known_is_refused():
+    with pytest.raises(SparseskinError, match="restart"):
+        RestartPolicy("sometimes")
+
+
 def test_why_a_node_failed_is_known_of_the_last_ten_times():
     restarts = Restarts(RestartPolicy(ON_FAILURE, max_restarts=20))
     for k in range(12):
