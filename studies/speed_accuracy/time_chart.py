@@ -36,6 +36,11 @@ _PLACES = ((6, 0), (-6, 0), (6, 9), (6, -9), (-6, 9), (-6, -9), (0, 11), (0, -11
 _REACHES = (1.0, 1.8, 2.6, 3.4)
 _MARGIN = 10
 """Least distance of a label from the right end of its panel, in pixels."""
+_GAP = 4
+"""Least distance between two labels in a row, in pixels."""
+_MARKER_POINTS = 8
+_STAR_POINTS = 15
+"""Widths of the marker of a point, and of the star of the default, in points."""
 _NEAR = 12
 """Vertical distance of a label from its point beyond which a line leads to it, in points."""
 
@@ -119,7 +124,7 @@ def _draw_points(axes: Axes, points: pd.DataFrame, noisy_db: float) -> None:
         default["mean_db"],
         color=ORANGE,
         marker="*",
-        markersize=15,
+        markersize=_STAR_POINTS,
     )
     peers = points[points["label"].isin(list(PEERS))]
     solvers = points[~points["label"].isin([ROTATED, *PEERS])]
@@ -132,7 +137,7 @@ def _draw_points(axes: Axes, points: pd.DataFrame, noisy_db: float) -> None:
         }
         axes.plot(methods["median_ms"], methods["mean_db"], **style)
 
-    label = _Labels(axes, points)
+    label = _Labels(axes, points, default)
     label.add(
         default,
         f"default: skin, {default['pace']:.0f} iterations",
@@ -148,9 +153,9 @@ def _draw_points(axes: Axes, points: pd.DataFrame, noisy_db: float) -> None:
 
 
 class _Labels:
-    """Labels of points, each where it covers no other and no point."""
+    """Labels of points, each where it covers no other and no point; `default`: that of the star."""
 
-    def __init__(self, axes: Axes, points: pd.DataFrame) -> None:
+    def __init__(self, axes: Axes, points: pd.DataFrame, default: pd.Series) -> None:
         self._axes = axes
         # As of `Chart`.
         canvas: Any = FigureCanvasAgg(axes.figure.figure)
@@ -158,9 +163,11 @@ class _Labels:
         places = axes.transData.transform(
             points[["median_ms", "mean_db"]].to_numpy(float)
         )
-        radius = axes.figure.dpi * 4 / 72
+        radii = axes.figure.dpi / 72 * np.full(len(points), _MARKER_POINTS / 2)
+        radii[points.index == default.name] *= _STAR_POINTS / _MARKER_POINTS
         self._taken = [
-            Bbox.from_extents(*(place - radius), *(place + radius)) for place in places
+            Bbox.from_extents(*(place - radius), *(place + radius))
+            for place, radius in zip(places, radii, strict=True)
         ]
         # The line of the readings and the text on it.
         self._taken += [
@@ -194,8 +201,9 @@ class _Labels:
         box = Text.get_window_extent(label)
         inside = self._axes.bbox
         is_inside = inside.x0 < box.x0 and box.x1 + _MARGIN < inside.x1
-        if is_inside and not any(box.overlaps(taken) for taken in self._taken):
-            self._taken.append(box)
+        is_free = not any(box.overlaps(taken) for taken in self._taken)
+        if is_inside and is_free:
+            self._taken.append(box.padded(_GAP, 0))
             return True
         label.remove()
         return False
