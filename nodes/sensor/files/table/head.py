@@ -99,10 +99,6 @@ def read_head(file: File) -> TableHead:
     bodies = [(number, text) for number, text in raw[n_skipped:] if _is_body(text)]
     if not bodies:
         raise SourceError(f"{file.name}: the recording holds no frame")
-    if bodies[0][1].lstrip().startswith("{"):
-        raise SourceError(
-            f"{file.name}: lines of JSON are not read; write a table, as .csv"
-        )
     dialect = dialect_of([text for _, text in bodies[len(bodies) // 3 :]])
     if separator:
         dialect = dialect._replace(separator=separator)
@@ -239,6 +235,9 @@ def _headed(
 ) -> list[Line]:
     """The lines of data; the head learns the names before them."""
     head.names = ("",) * head.width
+    if head.dialect.names:
+        head.names = ("",) * head.dialect.has_prefix + head.dialect.names
+        return lines
     # A title of as many words as the table has columns stands before the names of these.
     while len(lines) > 2 and _are_names(lines[1].cells[: head.width]):
         lines = lines[1:]
@@ -454,7 +453,8 @@ def _find_kind(
             f"a line for each taxel: {head.long.n_rows} x {head.long.n_cols}",
         )
         return
-    if head.header or layout.columns or layout.time not in ("", "none"):
+    is_named = head.header or head.dialect.names
+    if is_named or layout.columns or layout.time not in ("", "none"):
         return
     n_rows = layout.n_rows
     n_cols = layout.n_cols
