@@ -102,7 +102,9 @@ class Doubt:
             self._line = self._line_on(sign)
         self._sign_found = sign.is_found
 
-        repeats = self._repeats.reason(forces)
+        # The margin of a frame is used once: not all sources count what is clipped.
+        repeats = self._repeats.reason(forces, self.clipped.margin)
+        self.clipped.margin = None
         return self.level or self.clipped.reason(self._skin.n_taxels) or repeats
 
     def filled(self, forces: Floats) -> Floats:

@@ -69,15 +69,16 @@ class Repeats:
         self._n_pairs = 0
         self._n_repeated = 0
 
-    def reason(self, forces: Floats) -> str:
+    def reason(self, forces: Floats, margin: float | None = None) -> str:
         """Add a frame, float32 (n_rows, n_cols), 0 in masked cells. Returns its `Reason`, "" where
-        it has none.
+        it has none. `margin`: what noise may exceed 0 by; None: it is measured.
         """
         readings = forces.reshape(-1)
         if self._is_any_stuck:
             self._set_stuck(np.zeros(forces.shape, np.bool_))
-        taxels = readings if self._are_all else readings[self._exists]
-        margin = self._margin.of(taxels, float(self._f_max), None)
+        if margin is None:
+            taxels = readings if self._are_all else readings[self._exists]
+            margin = self._margin.of(taxels, float(self._f_max), None)
         before = self._last
         self._last = readings.copy()
         if readings.size != before.size:

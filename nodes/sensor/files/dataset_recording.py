@@ -157,7 +157,7 @@ class DatasetRecording(Recording):
         keys = times_keys(arrays, layout)
         n_times = {math.prod(arrays.datasets[name].sides) for name in keys}
         first_is_usual: bool | None = arrays.has_frames_first
-        if arrays.last_part(key) == FORCES:
+        if first_is_usual and arrays.last_part(key) == FORCES:
             first_is_usual = None
         frames = find_frame_axis(layout, arrays.shape(key), n_times, first_is_usual)
         n_frames = 1

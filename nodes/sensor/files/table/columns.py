@@ -123,13 +123,14 @@ def nanoseconds_beside(head: TableHead, time: int) -> int | None:
 
 
 def _ask_for_texts(head: TableHead, data: Sequence[Line], name: str) -> None:
-    """Raise SourceError if a column holds texts that look like times, of a form that is not
-    read.
+    """Raise SourceError if a column holds texts that look like times, or is named as they are, of a
+    form that is not read.
     """
     for k in range(head.width):
         if k in head.numeric:
             continue
-        if all(TIME_LIKE.search(line.cells[k]) for line in data):
+        is_named = bool(head.names[k]) and is_time_name(head.names[k])
+        if is_named or all(TIME_LIKE.search(line.cells[k]) for line in data):
             fault = (
                 f"column {head.label(k)} holds {shown(data[0].cells[k])}, like a time"
             )
@@ -168,7 +169,7 @@ def _time_at_an_end(
         options = [{"time": word} for word in rising]
         fault = "the first and the last column rise: state time=first or time=last, or columns"
         raise UnstatedError(f"{name}: {fault}", *options)
-    # A column 0, 1, 2, ... counts the lines: it is no time.
+    # A column 0, 1, 2, ... may count the lines.
     for k in rising.values():
         if not _counts(column_of(data, k)):
             head.notes += (f"column {head.label(k)} rises in all lines: the times",)
@@ -211,18 +212,25 @@ def _ask_for_times(
     )
 
 
-def counters(head: TableHead, data: Sequence[Line]) -> list[int]:
-    """A column at an end of a table without names that counts its lines, which is no taxel."""
-    if head.header or head.kind != LINES or head.time is not None or len(data) < 3:
+def counters(
+    head: TableHead, layout: Layout, data: Sequence[Line], name: str
+) -> list[int]:
+    """A column at an end of a table without names that counts its lines, which is no taxel. Raises
+    UnstatedError if it may be the times, of one frame in a second or a millisecond.
+    """
+    if any(head.names) or head.kind != LINES or head.time is not None or len(data) < 3:
         return []
-    counting = [
-        k for k in {head.numeric[0], head.numeric[-1]} if _counts(column_of(data, k))
-    ]
-    if len(counting) == 1:
-        head.notes += (
-            f"column {head.label(counting[0])} counts lines, and is left out",
-        )
-        return counting
+    ends = {"first": head.numeric[0], "last": head.numeric[-1]}
+    counting = {word: k for word, k in ends.items() if _counts(column_of(data, k))}
+    if len(counting) == 1 and len(head.numeric) > 1:
+        ((word, column),) = counting.items()
+        if not layout.time and layout.rate_hz is None:
+            fault = f"column {head.label(column)} counts lines, or is the times"
+            ways = f"state time=none or time={word}"
+            options = ({"time": "none"}, {"time": word})
+            raise UnstatedError(f"{name}: {fault}: {ways}", *options)
+        head.notes += (f"column {head.label(column)} counts lines, and is left out",)
+        return [column]
     return []
 
 

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from itertools import islice
 
 import numpy as np
+import numpy.typing as npt
 
 from sparseskin.nodes.errors import SourceError
 from sparseskin.nodes.sensor.files.recording import File
@@ -44,9 +45,13 @@ from .text import COMMENTS, Dialect, dialect_of, pieces
 
 MAX_SAMPLE = 1000
 """Lines of the begin that are looked at; chosen: a thousand frames."""
-COUNTED = 4
-"""Least length of a line 0, 1, 2, ... that is a header. Chosen: of readings up to 10 one frame in
-10,000 reads so."""
+EVEN = 4
+"""Least length of a line with even steps, as 0, 1, 2, ..., that is a header. Chosen: of readings up
+to 10 one frame in 10,000 reads so."""
+RISING = 8
+"""The same of a line that rises. Derived: one of 40,000 random frames does."""
+FORMED = 3
+"""The same of one that rises and has another number of decimals than all lines below. Chosen."""
 RATE_LINE = re.compile(
     r"\W*(?:(?:sampl\w*|frame|scan|acquisition|capture|recording|data|log\w*)[ _]*"
     r"(?:rate|freq\w*)|rate|frequency|fs|fps)\b[^\w.]*(?:in\s*)?(?:hz\W+)?"
@@ -65,6 +70,10 @@ TITLE_TIME = re.compile(
     re.IGNORECASE,
 )
 """Times in lines between frames."""
+NUMBER_LINE = re.compile(r"[^\w.+-]*[A-Za-z_]*\W*?(\d+(?:\.\d+)?)\W*")
+"""Lines between frames with one number."""
+FRAME_NAME = re.compile(r"frame|img|image|sample|row|line|t\d|\W*\d", re.IGNORECASE)
+"""Begin of names of frames, and of rows of a grid, which are none of taxels."""
 EXCEL_LINE = re.compile(r"sep=(.)", re.IGNORECASE)
 VALUE_WORDS = (
     "value",
@@ -107,7 +116,7 @@ def read_head(file: File) -> TableHead:
     # Width, names, and where the data begin.
     head = _sized(dialect, lines)
     lines = [line for line in lines if len(line.cells) in _widths(head)]
-    data = _headed(head, lines, raw, n_skipped)
+    data = _headed(head, lines, raw, n_skipped, layout)
     if not data:
         raise SourceError(f"{file.name}: the recording holds no frame")
     _count_before(head, raw, data[0].number, layout, bool(separator))
@@ -135,7 +144,12 @@ def read_head(file: File) -> TableHead:
     if head.time is not None:
         head.nanoseconds = nanoseconds_beside(head, head.time)
         head.time_unit = unit_of_column(head, data, layout)
-    no_taxels = (head.time, head.nanoseconds, head.source, *counters(head, data))
+    no_taxels = (
+        head.time,
+        head.nanoseconds,
+        head.source,
+        *counters(head, layout, data, file.name),
+    )
     head.usable = tuple(k for k in head.numeric if k not in no_taxels)
     _note_texts(head)
     return head
@@ -154,19 +168,25 @@ def _note_texts(head: TableHead) -> None:
 def _ask_for_axes(
     head: TableHead, layout: Layout, data: Sequence[Line], name: str
 ) -> None:
-    """Raise UnstatedError if lines have names of taxels, as s0, s1, and are as many as these."""
-    if layout.columns or layout.axes or len(data) != layout.n_stated:
+    """Raise UnstatedError if lines have names of taxels, as s0, s1, and are as many as these where
+    their number is stated.
+    """
+    if layout.columns or layout.axes or 0 in head.numeric:
         return
-    names = [line.cells[0] for line in data]
+    if head.header and layout.n_stated is None:
+        return
+    names = [line.cells[0] for line in data if not is_time_name(line.cells[0])]
     patterns = {re.sub(r"\d+", "#", text) for text in names}
     is_one_family = len(patterns) == 1 and "#" in patterns.pop()
-    if 0 in head.numeric or len(set(names)) < len(names) or not is_one_family:
+    if len(set(names)) < max(2, len(names)) or not is_one_family:
         return
-    if not all(text[:1].isalpha() for text in names):
+    if layout.n_stated not in (None, len(names)) or FRAME_NAME.match(names[0]):
         return
     fault = f"lines are named {shown(names[0])}, {shown(names[-1])}: which are taxels is not stated"
-    ways = "state axes=taxels,frames, or columns if a line is a frame"
-    raise UnstatedError(f"{name}: {fault}; {ways}", {"axes": "taxels,frames"})
+    ways = "state axes=taxels,frames, or axes=frames,taxels if a line is a frame"
+    # Of so many lines as taxels are stated, the names are those of taxels.
+    options = [{"axes": "taxels,frames"}] if layout.n_stated else []
+    raise UnstatedError(f"{name}: {fault}; {ways}", *options)
 
 
 def _first_lines(file: File) -> list[tuple[int, str]]:
@@ -231,7 +251,11 @@ def _widths(head: TableHead) -> tuple[int, ...]:
 
 
 def _headed(
-    head: TableHead, lines: list[Line], raw: list[tuple[int, str]], n_skipped: int
+    head: TableHead,
+    lines: list[Line],
+    raw: list[tuple[int, str]],
+    n_skipped: int,
+    layout: Layout,
 ) -> list[Line]:
     """The lines of data; the head learns the names before them."""
     head.names = ("",) * head.width
@@ -244,8 +268,16 @@ def _headed(
     begin = lines[0]
     cells = begin.cells[: head.width]
     later = lines[1:] or lines[:1]
-    if len(lines) > 1 and _is_header(cells, later):
-        head.names = tuple(name.strip() for name in cells)
+    is_labelled = len(lines) > 1 and _are_labels(cells, later)
+    # Above lines of taxels, numbers are the times.
+    if is_labelled and layout.axis_names[:1] == ("taxels",):
+        is_labelled = _counts_columns(cells)
+    if is_labelled or (len(lines) > 1 and _is_header(cells, later)):
+        # Positions are no names: their digits count nothing.
+        if not is_labelled or _counts_columns(cells):
+            head.names = tuple(name.strip() for name in cells)
+        if is_labelled:
+            head.notes += (f"the line {shown(begin.text)} labels the columns",)
         head.header = begin.text
         head.dropped["header"] += 1
         lines = _without_units(
@@ -284,14 +316,7 @@ def _are_names(cells: Sequence[str]) -> bool:
 
 
 def _is_header(cells: Sequence[str], later: Sequence[Line]) -> bool:
-    """True if a line has texts in columns that hold numbers later; or it counts the columns, as
-    programs name them that know no names.
-    """
-    is_indexed_too = cells[0] == "" and len(cells) > 1
-    is_long = len(cells) >= COUNTED
-    if _counts_columns(cells) and (is_long or is_indexed_too):
-        # Frames of a test pattern count on.
-        return not _steps_by_one(later[0].cells[: len(cells)])
+    """True if a line has texts in columns that hold numbers later."""
     for k, cell in enumerate(cells):
         if is_value(cell):
             continue
@@ -336,11 +361,21 @@ def _ask_for_titles(
     if layout.rate_hz is not None or layout.time or head.rate_hz is not None:
         return
     titles = []
+    counts: list[float] = []
+    counted_lines = []
     for number, text in raw:
         cells = head.dialect.cells(text)
         is_row = len(cells) in _widths(head) and any(map(is_number, cells))
+        is_counted = NUMBER_LINE.fullmatch(text)
         if TITLE_TIME.search(text) and not is_row:
             titles.append((number, text.strip()))
+        elif is_counted and not is_row:
+            counts.append(float(is_counted[1]))
+            counted_lines.append((number, text.strip()))
+    # Numbers of the frames rise by 1, times do not.
+    steps = np.diff(counts)
+    if len(steps) > 1 and (steps > 0).all() and (steps != 1).any():
+        titles += counted_lines
     # One such line is about the whole recording.
     later = [number for number, _ in titles if number > first_number]
     if later and len(titles) > 1:
@@ -349,9 +384,47 @@ def _ask_for_titles(
         raise SourceError(f"{name}: {fault}; state rate_hz, or time=none")
 
 
-def _steps_by_one(cells: Sequence[str]) -> bool:
-    numbers = [float(cell) for cell in cells if is_number(cell)]
-    return len(numbers) == len(cells) and bool((np.diff(numbers) == 1).all())
+def _are_labels(cells: Sequence[str], later: Sequence[Line]) -> bool:
+    """True if a line of numbers has the numbers or the places of the columns, as no line below."""
+    # An index of the lines has no label.
+    begin = int(cells[0] == "")
+    labels = cells[begin:]
+    if not labels or not all(map(is_number, labels)) or not _rises(labels):
+        return False
+    rows = [line.cells[begin : len(cells)] for line in later]
+    n_decimals = _decimals(labels)
+    are_whole_below = not any(map(_decimals, rows))
+    if are_whole_below and all("." in label for label in labels):
+        return True
+    is_formed = not any(_decimals(row) == n_decimals for row in rows)
+    if is_formed and len(rows) >= FORMED <= len(labels):
+        return True
+
+    # Frames of a test pattern go on so, perhaps beside their time.
+    parts = [part for row in rows for part in (row, row[1:], row[:-1])]
+    if _is_even(labels) and (len(labels) >= EVEN or begin):
+        return not any(map(_is_even, parts))
+    return len(labels) >= RISING and not any(map(_rises, parts))
+
+
+def _numbers(cells: Sequence[str]) -> npt.NDArray[np.float64]:
+    """Numbers of cells, NaN for other texts."""
+    return np.array([float(cell) if is_number(cell) else np.nan for cell in cells])
+
+
+def _rises(cells: Sequence[str]) -> bool:
+    return bool((np.diff(_numbers(cells)) > 0).all())
+
+
+def _is_even(cells: Sequence[str]) -> bool:
+    """True if numbers rise in steps of one size."""
+    steps = np.diff(_numbers(cells))
+    return bool((steps > 0).all() and np.allclose(steps, steps[:1], rtol=1e-3))
+
+
+def _decimals(cells: Sequence[str]) -> int:
+    """Most decimals of a cell."""
+    return max(len(cell.partition(".")[2]) for cell in cells)
 
 
 def _counts_columns(cells: Sequence[str]) -> bool:

@@ -272,9 +272,10 @@ class TableRecording(Recording):
                 cells.pop()
             if len(cells) != head.width:
                 place = f"{self._file.name}, line {number}"
-                raise SourceError(
-                    f"{place}: holds {len(cells)} cells; {head.width} are expected"
-                )
+                fault = f"holds {len(cells)} cells; {head.width} are expected"
+                if head.dialect.names:
+                    fault = "names other values than most lines"
+                raise SourceError(f"{place}: {fault}")
             if head.time is not None:
                 times.append(self._instant(cells, number))
             for column in head.usable or head.numeric:

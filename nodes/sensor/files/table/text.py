@@ -99,9 +99,9 @@ class Dialect(NamedTuple):
 
 
 def pieces(file: IO[bytes], name: str) -> Iterator[Piece]:
-    """The lines of a file from its begin, by pieces. UTF-8, UTF-16 behind its mark, or Latin-1, which
-    decodes every byte. Raises SourceError at a line of more than `MAX_LINE_BYTES`, or bytes of value
-    0.
+    """The lines of a file from its begin, by pieces. UTF-8, UTF-16 behind its mark, or Latin-1,
+    which decodes every byte. Raises SourceError at a line of more than `MAX_LINE_BYTES`, or bytes
+    of value 0.
     """
     file.seek(0)
     is_utf_16 = file.read(2) in UTF_16
@@ -168,7 +168,9 @@ def named_values(line: str) -> dict[str, str]:
     if line.lstrip().startswith("{"):
         try:
             # Numbers stay as they are written: whole ones of any size are exact.
-            content = json.loads(line, parse_float=str, parse_int=str, parse_constant=str)
+            content = json.loads(
+                line, parse_float=str, parse_int=str, parse_constant=str
+            )
         except (ValueError, RecursionError):
             return {}
         _add_values(values, "", content)

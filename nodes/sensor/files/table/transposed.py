@@ -24,7 +24,7 @@ from sparseskin.nodes.sensor.layout.times import is_time_name, named_unit
 
 from .table import TableRecording
 
-OF_LINES = {"time": "none", "columns": "", "axes": "", "n_rows": None, "n_cols": None}
+OF_LINES = {"time": "none", "columns": "", "n_rows": None, "n_cols": None}
 """What is stated of the frames, and not of the lines."""
 
 

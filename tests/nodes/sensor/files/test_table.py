@@ -223,9 +223,9 @@ def test_a_table_as_programs_write_it_is_read(tmp_path, text, stated, rate_hz):
             "0; add time_wrap=4294967296$",
         ),
         (
-            '{"t": 0, "s": [1, 2]}\n{"t": 1, "s": [1, 2]}\n',
+            '{"a": 0, "s": 1}\n{"a": 1}\n{"a": 3, "s": 2}\n{"a": 2, "s": 4}\n',
             ROW,
-            "lines of JSON are not read",
+            "line 2: names other values than most lines",
         ),
         (
             "1,2\n3,4\n",
