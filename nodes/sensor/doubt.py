@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -72,6 +73,13 @@ class Doubt:
         if not self._sign_found:
             return ""
         return self._line
+
+    def widen(self, f_max: float) -> None:
+        """Raise the upper end of the range."""
+        self._skin = replace(self._skin, f_max=f_max)
+        self._repeats.f_max = np.float32(f_max)
+        if self._rest is not None:
+            self._rest.skin = self._skin
 
     def take_line(self) -> str:
         """That line where it is new, and there were enough frames for it; "" at other times."""

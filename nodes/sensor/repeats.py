@@ -54,7 +54,7 @@ class Repeats:
     """
 
     def __init__(self, skin: Skin) -> None:
-        self._f_max = np.float32(skin.f_max)
+        self.f_max = np.float32(skin.f_max)
         self._margin = Margin()
         self._exists = skin.exists.reshape(-1)
         self._are_all = skin.mask is None
@@ -78,7 +78,7 @@ class Repeats:
             self._set_stuck(np.zeros(forces.shape, np.bool_))
         if margin is None:
             taxels = readings if self._are_all else readings[self._exists]
-            margin = self._margin.of(taxels, float(self._f_max), None)
+            margin = self._margin.of(taxels, float(self.f_max), None)
         before = self._last
         self._last = readings.copy()
         if readings.size != before.size:
@@ -95,7 +95,7 @@ class Repeats:
         needed = self._needed()
         if self._runs.max() < needed:
             return ""
-        at_end = readings[repeated] >= self._f_max
+        at_end = readings[repeated] >= self.f_max
         is_stuck = self._runs >= np.where(at_end, max(needed, LEAST_RUN_AT_END), needed)
         stuck = repeated[is_stuck]
         is_frozen = stuck.size == np.count_nonzero(readings)
