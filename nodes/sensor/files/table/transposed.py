@@ -15,7 +15,6 @@ from sparseskin.nodes.sensor.files.recording import (
     File,
     Head,
     Recording,
-    frames_per_block,
 )
 from sparseskin.nodes.sensor.layout.arrangement import Axis
 from sparseskin.nodes.sensor.layout.names import matching
@@ -61,14 +60,10 @@ class TransposedTable(Recording):
     def blocks(self) -> Iterator[Block]:
         self.tally.begin()
         frames = self._frames
-        size = frames_per_block(frames.shape[1])
-        for start in range(0, len(frames), size):
-            part = frames[start : start + size]
-            self.tally.take(len(part), len(part))
-            if self._time is None:
-                yield Block(part)
-            else:
-                yield Block(part, part[:, self._time].tolist())
+        times = None if self._time is None else frames[:, self._time].tolist()
+        for block in Block(frames, times).parts():
+            self.tally.take(len(block.numbers), len(block.numbers))
+            yield block
 
     @cached_property
     def _frames(self) -> Doubles:
