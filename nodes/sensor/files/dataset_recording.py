@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import re
 from collections.abc import Iterator, Mapping, Sequence
 from functools import cached_property
 from itertools import chain, islice
@@ -27,14 +26,11 @@ from .datasets import (
     MASK,
     NO_UNITS,
     OFFSET,
-    PERIOD_NAMES,
     PITCH,
     POINT_ROWS,
     POINTS,
-    RATE_NAMES,
-    RATES,
+    RATE,
     SCALE,
-    TIME_UNITS,
     UNIT,
     ArrayFile,
     frames_key,
@@ -251,11 +247,9 @@ class DatasetRecording(Recording):
     def _ask_column(self, plan: _Plan, rising: Sequence[str]) -> None:
         n = plan.frames.items[0].size
         fault = f"a row has {n} numbers, one more than taxels are stated"
-        ways = " or ".join(f"time={word}" for word in rising) or "columns, as 1-16"
-        options = [{"time": word} for word in rising]
-        raise UnstatedError(
-            f"{self._arrays.where(plan.key)}: {fault}: state {ways}", *options
-        )
+        place = f"{self._arrays.where(plan.key)}: {fault}"
+        otherwise = "" if rising else "columns, as 1-16"
+        raise UnstatedError.between(place, "time", rising, otherwise)
 
     @cached_property
     def _head(self) -> Head:
@@ -319,7 +313,7 @@ class DatasetRecording(Recording):
 
     def _rate(self, plan: _Plan) -> tuple[float | None, tuple[str, ...]]:
         """Frames per second that the file states, by the first of their names."""
-        rate_hz = self._number(plan.key, RATES[0])
+        rate_hz = self._number(plan.key, RATE)
         if rate_hz is not None:
             return rate_hz, ()
         by_name: dict[str, float] = {}
@@ -328,7 +322,7 @@ class DatasetRecording(Recording):
             if array.size != 1 or array.dtype.kind not in "iuf":
                 continue
             number = float(array.reshape(()))
-            rate_of_name = rate_of(name, number)
+            rate_of_name = times.rate_of(name, number)
             if rate_of_name:
                 by_name[name] = rate_of_name
         rates = ", ".join(f"{name} = {rate:g}" for name, rate in by_name.items())
@@ -349,7 +343,11 @@ class DatasetRecording(Recording):
         for path, dataset in arrays.datasets.items():
             name = arrays.last_part(path)
             is_nearest = arrays.nearest(key, (name,)) == path
-            if is_nearest and math.prod(dataset.sides) == 1 and rate_of(name, 1.0):
+            if (
+                is_nearest
+                and math.prod(dataset.sides) == 1
+                and times.rate_of(name, 1.0)
+            ):
                 yield name, arrays.whole(path)
 
     def _unit(self, plan: _Plan) -> str | None:
@@ -386,15 +384,16 @@ class DatasetRecording(Recording):
         words = (
             text_of(attributes.get("units", attributes.get(UNIT, ""))).lower().split()
         )
-        unit = words[0] if words else ""
-        if unit in NO_UNITS or self._layout.time_unit:
+        word = words[0] if words else ""
+        if word in NO_UNITS or self._layout.time_unit:
             return times.named_unit(self._arrays.last_part(plan.time_key))
-        if unit not in TIME_UNITS:
+        unit = times.named_unit(f"_{word}")
+        if not unit:
             ways = "state time_unit, or time=none"
             raise SourceError(
-                f"{where}: its unit is {shown(unit)}, none of ns, us, ms, s; {ways}"
+                f"{where}: its unit is {shown(word)}, none of ns, us, ms, s; {ways}"
             )
-        return TIME_UNITS[unit]
+        return unit
 
     def _mask(self, plan: _Plan) -> tuple[Mask | None, tuple[str, ...]]:
         """The mask of the numbers of a frame, of its sides, and what is to be said where an array
@@ -444,24 +443,6 @@ class DatasetRecording(Recording):
                 mask_sides[at] = 1
         whole = np.broadcast_to(mask.reshape(mask_sides), item_sides)
         return whole.astype(np.bool_), ()
-
-
-def rate_of(name: str, number: float) -> float:
-    """Frames per second that a number of that name states; 0 if it states none."""
-    words = re.sub(r"(?<=[a-z])(?=[A-Z])", "_", name)
-    letters = re.sub(r"[^a-z]", "", words.lower())
-    if not 0 < number < math.inf:
-        return 0.0
-    if letters.removesuffix("hz") in RATE_NAMES:
-        return number
-    # Of a time between frames, the unit may stand behind the name.
-    if letters in PERIOD_NAMES:
-        return 1 / number
-    unit = times.named_unit(words)
-    stem = re.sub(r"[^a-z]", "", words.lower().rpartition("_")[0])
-    if unit and stem in PERIOD_NAMES:
-        return 1e9 / (number * times.NS[unit])
-    return 0.0
 
 
 def _times(sides: Sequence[int]) -> str:

@@ -188,10 +188,9 @@ def _ask_for_channel(layout: Layout, array: ArrayShape, way: _Way) -> None:
     equal = [w for w in _ways(layout, array, way.axis) if w.fit == way.fit]
     if way.channel is None or len(equal) < 2:
         return
-    options = [{"axes": _axes_text(array, w)} for w in equal]
-    ways = " or ".join(f"axes={option['axes']}" for option in options)
     fault = f"which axis of {array.text} is that of the channels is not stated"
-    raise UnstatedError(f"{array.where}: {fault}: state {ways}", *options)
+    ways = [_axes_text(array, w) for w in equal]
+    raise UnstatedError.between(f"{array.where}: {fault}", "axes", ways)
 
 
 def _best_way(layout: Layout, array: ArrayShape, axis: int | None) -> _Way:

@@ -18,6 +18,7 @@ from sparseskin.nodes.sensor.layout.names import (
 from sparseskin.nodes.sensor.layout.times import (
     CLOCK_UNIT,
     ISO,
+    are_likely,
     clock_ns,
     is_epoch,
     is_time_name,
@@ -87,10 +88,8 @@ def time_column(
     # Names first, then texts that are times, then dates.
     for candidates, note in ((by_name, ""), (texts, ""), (dates, "holds dates")):
         if len(candidates) > 1:
-            labels = " or ".join(f"time={head.label(k)}" for k in candidates)
-            options = [{"time": head.names[k] or str(k + 1)} for k in candidates]
-            fault = f"{len(candidates)} columns may be the times: state {labels}"
-            raise UnstatedError(f"{name}: {fault}", *options)
+            fault = f"{name}: {len(candidates)} columns may be the times"
+            raise UnstatedError.between(fault, "time", _keys(head, candidates))
         if candidates:
             if note:
                 head.notes += (f"column {head.label(candidates[0])} {note}: the times",)
@@ -166,9 +165,8 @@ def _time_at_an_end(
         if _rises(column_of(data, k)):
             rising[word] = k
     if len(rising) > 1:
-        options = [{"time": word} for word in rising]
-        fault = "the first and the last column rise: state time=first or time=last, or columns"
-        raise UnstatedError(f"{name}: {fault}", *options)
+        fault = f"{name}: the first and the last column rise"
+        raise UnstatedError.between(fault, "time", [*rising], "columns")
     # A column 0, 1, 2, ... may count the lines.
     for k in rising.values():
         if not _counts(column_of(data, k)):
@@ -194,22 +192,21 @@ def _ask_for_times(
         is_named = is_indexed(head, k) or head.names[k].lower() in FRAME_WORDS
         if k in taxels or is_named:
             continue
-        steps = np.diff(column_of(data, k))
-        if (steps > 0).all() and (steps != 1).any():
+        if are_likely(column_of(data, k)):
             rising.append(k)
     # Where all columns rise, it is the load that does.
     if not rising or len(rising) == len(head.numeric):
         return
 
-    labels = ", ".join(f"time={head.label(k)}" for k in rising[:MAX_SHOWN])
-    if len(rising) > MAX_SHOWN:
-        labels += ", ..."
     columns = "column rises" if len(rising) == 1 else "columns rise"
-    ways = f"state {labels} or, if these are no times, time=none"
-    options = [{"time": head.names[k] or str(k + 1)} for k in rising]
-    raise UnstatedError(
-        f"{name}: {len(rising)} {columns} in all lines: {ways}", *options
-    )
+    fault = f"{name}: {len(rising)} {columns} in all lines"
+    otherwise = "time=none, if these are no times"
+    raise UnstatedError.between(fault, "time", _keys(head, rising), otherwise)
+
+
+def _keys(head: TableHead, columns: Sequence[int]) -> list[str]:
+    """Names of columns, or their numbers from 1, as `time` states them."""
+    return [head.names[k] or str(k + 1) for k in columns]
 
 
 def counters(
@@ -225,10 +222,8 @@ def counters(
     if len(counting) == 1 and len(head.numeric) > 1:
         ((word, column),) = counting.items()
         if not layout.time and layout.rate_hz is None:
-            fault = f"column {head.label(column)} counts lines, or is the times"
-            ways = f"state time=none or time={word}"
-            options = ({"time": "none"}, {"time": word})
-            raise UnstatedError(f"{name}: {fault}: {ways}", *options)
+            fault = f"{name}: column {head.label(column)} counts lines, or is the times"
+            raise UnstatedError.between(fault, "time", ["none", word])
         head.notes += (f"column {head.label(column)} counts lines, and is left out",)
         return [column]
     return []

@@ -16,9 +16,7 @@ from sparseskin.nodes.sensor.layout.names import (
     COL_WORDS,
     ROW_WORDS,
 )
-from sparseskin.nodes.sensor.layout.times import (
-    is_time_name,
-)
+from sparseskin.nodes.sensor.layout.times import are_likely, is_time_name, rate_of
 
 from .columns import (
     counters,
@@ -56,17 +54,9 @@ RISING = 8
 FORMED = 3
 """The same of one that rises and has another number of decimals than all lines below. Chosen."""
 RATE_LINE = re.compile(
-    r"\W*(?:(?:sampl\w*|frame|scan|acquisition|capture|recording|data|log\w*)[ _]*"
-    r"(?:rate|freq\w*)|rate|frequency|fs|fps)\b[^\w.]*(?:in\s*)?(?:hz\W+)?"
-    r"(\d+(?:\.\d+)?)[\s\"]*(?:hz|fps|1/s|/s|samples/s|frames/s)?[\s\",;\t]*",
-    re.IGNORECASE,
+    r"\W*([A-Za-z][A-Za-z_ ()\[\]]*?)\W*(\d*\.?\d+)\s*((?:1/)?[A-Za-z/]*)[\s\",;]*"
 )
-PERIOD_LINE = re.compile(
-    r"\W*(?:seconds?_per_frame|(?:sampl\w*|frame|scan)[ _]*(?:interval|period|time))\b\W*"
-    r"(?:(ms|s)\W+)?(\d*\.?\d+)\s*(ms|s|sec|seconds)?[\s\",;\t]*",
-    re.IGNORECASE,
-)
-"""Lines before a table that state its rate, or the time from frame to frame."""
+"""Lines before a table that may state its rate, or the time from frame to frame."""
 TITLE_TIME = re.compile(
     r"\d:\d\d[:.]\d|\b(?:t|ts|time|times?tamp|stamp|elapsed)\b[^\w.+-]*\d"
     r"|\d\s*(?:ns|us|ms|s|sec|seconds)\b",
@@ -341,14 +331,10 @@ def _rate(head: TableHead, raw: list[tuple[int, str]], first_number: int) -> Non
     for number, text in raw:
         if number >= first_number:
             break
-        rate = RATE_LINE.fullmatch(text)
-        period = PERIOD_LINE.fullmatch(text)
+        match = RATE_LINE.fullmatch(text)
         rate_hz = 0.0
-        if rate is not None:
-            rate_hz = float(rate[1])
-        elif period is not None and float(period[2]):
-            per_s = 1000 if "ms" in (period[1], period[3]) else 1
-            rate_hz = per_s / float(period[2])
+        if match is not None:
+            rate_hz = rate_of(match[1], float(match[2]), match[3].lower())
         if rate_hz:
             rates[rate_hz] = text.strip()
     if len(rates) == 1:
@@ -379,8 +365,7 @@ def _ask_for_titles(
             counts.append(float(is_counted[1]))
             counted_lines.append((number, text.strip()))
     # Numbers of the frames rise by 1, times do not.
-    steps = np.diff(counts)
-    if len(steps) > 1 and (steps > 0).all() and (steps != 1).any():
+    if len(counts) > 2 and are_likely(np.array(counts)):
         titles += counted_lines
     # One such line is about the whole recording.
     later = [number for number, _ in titles if number > first_number]

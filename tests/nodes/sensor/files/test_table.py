@@ -247,7 +247,7 @@ def test_a_table_as_programs_write_it_is_read(tmp_path, text, stated, rate_hz):
         (
             "t,time,s0,s1\n0,5,1,1\n1,6,1,1\n",
             ROW,
-            "2 columns may be the times: state time='t' or",
+            "2 columns may be the times: state time=t or",
         ),
         (
             "timestep,s0,s1\n0.5,1,1\n0.1,1,1\n",
