@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import IO, Any, NamedTuple
 
+import numpy as np
 import numpy.typing as npt
 
 from sparseskin.nodes.errors import SourceError
@@ -88,6 +89,25 @@ class Recording(ABC):
         """Read all items from the first one, some `BLOCK_NUMBERS` numbers at a time, each time that
         it is called. Raises SourceError at the first malformed one.
         """
+
+
+def gathered(
+    items: Iterable[tuple[npt.NDArray[Any], int | float]], tally: Tally
+) -> Iterator[Block]:
+    """Blocks of items that come one after the other, of one shape, with their times."""
+    numbers: list[npt.NDArray[Any]] = []
+    times: list[int | float] = []
+    for item, time in items:
+        numbers.append(item)
+        times.append(time)
+        if len(numbers) == frames_per_block(item.size):
+            tally.take(len(numbers), len(numbers))
+            yield Block(np.stack(numbers), times)
+            numbers = []
+            times = []
+    if numbers:
+        tally.take(len(numbers), len(numbers))
+        yield Block(np.stack(numbers), times)
 
 
 class WholeRecording(Recording):

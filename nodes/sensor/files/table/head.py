@@ -33,6 +33,7 @@ from .sample import (
     MAX_SHOWN,
     Line,
     LongColumns,
+    Place,
     TableHead,
     is_indexed,
     is_number,
@@ -112,7 +113,7 @@ def read_head(file: File) -> TableHead:
     data = _headed(head, lines, raw, n_skipped, layout)
     if not data:
         raise SourceError(f"{file.name}: the recording holds no frame")
-    _count_before(head, raw, data[0].number, layout, bool(separator))
+    head.n_before = data[0].number - 1
     numeric = {k for k in range(head.width) if _is_numeric(data, k, layout)}
     head.numeric = tuple(sorted(numeric | _without_readings(head, data, numeric)))
     if not head.numeric:
@@ -275,7 +276,6 @@ def _headed(
         if is_labelled:
             head.notes += (f"the line {shown(begin.text)} labels the columns",)
         head.header = begin.text
-        head.dropped["header"] += 1
         lines = _without_units(
             head, [line for line in later if line.text != begin.text]
         )
@@ -299,7 +299,7 @@ def _without_units(head: TableHead, lines: list[Line]) -> list[Line]:
     is_header = len(lines) > 1 and _is_header(units, lines[1:])
     if not is_header or any(map(is_number, units)):
         return lines
-    head.dropped["line of units"] += 1
+    head.units = lines[0].text
     return lines[1:]
 
 
@@ -444,34 +444,6 @@ def _named_by_comment(
         head.names = names
 
 
-def _count_before(
-    head: TableHead,
-    raw: list[tuple[int, str]],
-    first_number: int,
-    layout: Layout,
-    has_sep: bool,
-) -> None:
-    """Count the lines before the data by their names."""
-    texts_before = [text for number, text in raw if number < first_number]
-    head.n_before = len(texts_before)
-    head.dropped["line of the separator"] += int(has_sep)
-    n_skipped = max(0, min(layout.skip, len(texts_before)) - int(has_sep))
-    head.dropped["skipped lines"] += n_skipped
-    n_blank = 0
-    n_comments = 0
-    for text in texts_before[max(layout.skip, int(has_sep)) :]:
-        if not text.strip():
-            n_blank += 1
-        elif not _is_body(text):
-            n_comments += 1
-    head.dropped["blank lines"] += n_blank
-    head.dropped["comments"] += n_comments
-
-    n_others = len(texts_before) - head.dropped.total()
-    if n_others:
-        head.dropped["lines before the table"] += n_others
-
-
 def _is_numeric(data: Sequence[Line], k: int, layout: Layout) -> bool:
     """True if most cells of a column that are not missing are numbers, and some is."""
     markers = layout.missing_texts
@@ -510,9 +482,8 @@ def _find_kind(
     head.long = _long_columns(head, layout, data)
     if head.long is not None:
         head.kind = LONG
-        head.notes += (
-            f"a line for each taxel: {head.long.n_rows} x {head.long.n_cols}",
-        )
+        sides = " x ".join(str(place.size) for place in head.long.places)
+        head.notes += (f"a line for each taxel: {sides}",)
         return
     is_named = head.header or head.dialect.names
     if is_named or layout.columns or layout.time not in ("", "none"):
@@ -591,36 +562,16 @@ def _long_columns(
 
     # The first frame shows the sides.
     frame = frames[0]
-
     key = data[0].cells[frame]
     in_frame = [line.cells for line in data if line.cells[frame] == key]
-    col_numbers = _whole_numbers([cells[col] for cells in in_frame])
-    if col_numbers is None:
-        return None
-    first_col = min(col_numbers)
-    n_cols = max(col_numbers) - first_col + 1
-    if row is None:
-        return LongColumns(frame, None, col, value, first_col=first_col, n_cols=n_cols)
-
-    row_numbers = _whole_numbers([cells[row] for cells in in_frame])
-    if row_numbers is None:
-        return None
-    first_row = min(row_numbers)
-    n_rows = max(row_numbers) - first_row + 1
-    return LongColumns(
-        frame,
-        row,
-        col,
-        value,
-        first_row=first_row,
-        first_col=first_col,
-        n_rows=layout.n_rows or n_rows,
-        n_cols=layout.n_cols or n_cols,
-    )
-
-
-def _whole_numbers(cells: Sequence[str]) -> list[int] | None:
-    """The numbers of cells; None if one is no whole number."""
-    if not all(map(str.isdecimal, cells)):
-        return None
-    return [int(cell) for cell in cells]
+    columns = [col] if row is None else [row, col]
+    stated = [None] if row is None else [layout.n_rows, layout.n_cols]
+    places = []
+    for column, size in zip(columns, stated, strict=True):
+        cells = [of_line[column] for of_line in in_frame]
+        if not all(map(str.isdecimal, cells)):
+            return None
+        numbers = list(map(int, cells))
+        first = min(numbers)
+        places.append(Place(column, first, size or max(numbers) - first + 1))
+    return LongColumns(frame, tuple(places), value)
