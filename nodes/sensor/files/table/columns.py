@@ -5,8 +5,10 @@ from __future__ import annotations
 import re
 from collections.abc import Sequence
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
 from sparseskin.nodes.errors import SourceError
 from sparseskin.nodes.sensor.layout.checks import shown
@@ -37,6 +39,7 @@ from .sample import (
     is_indexed,
     is_value,
 )
+from .text import Dialect
 
 RISING_LINES = 8
 """Least lines in which times rise; chosen: eight readings without a trend rise once in 40,000."""
@@ -45,6 +48,8 @@ SOURCE_WORDS = (
     *("device_id", "skin", "patch", "mat", "board", "module"),
 )
 """Names of columns that state which skin a line is of."""
+MAX_ROWS = 100
+"""Rows of numbers that are looked at, chosen."""
 MAX_SKINS = 16
 """Most skins whose lines take turns in one table; chosen."""
 MIN_ROUNDS = 3
@@ -101,6 +106,20 @@ def time_column(
     if column is None and layout.rate_hz is None:
         _ask_for_times(head, layout, data, name)
     return column
+
+
+def time_of_rows(
+    names: Sequence[str], rows: npt.NDArray[Any], layout: Layout, where: str
+) -> tuple[int | None, tuple[str, ...]]:
+    """The same of rows of numbers, (k, n), and what is to be said."""
+    names = tuple(names) or ("",) * rows.shape[1]
+    everything = tuple(range(rows.shape[1]))
+    head = TableHead(Dialect(","), len(names), names=names, numeric=everything)
+    lines = [
+        Line(k, "", tuple(map(str, row)))
+        for k, row in enumerate(rows[:MAX_ROWS].tolist())
+    ]
+    return time_column(head, layout, lines, where), head.notes
 
 
 def _without_nanoseconds(head: TableHead, columns: Sequence[int]) -> list[int]:

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import replace
 from functools import cached_property
 
 import numpy as np
 
-from sparseskin.nodes.errors import SourceError
 from sparseskin.nodes.numerics.arrays import Doubles
 from sparseskin.nodes.sensor.files.recording import (
     Block,
@@ -17,10 +16,10 @@ from sparseskin.nodes.sensor.files.recording import (
     Recording,
 )
 from sparseskin.nodes.sensor.layout.arrangement import Axis
-from sparseskin.nodes.sensor.layout.names import matching
 from sparseskin.nodes.sensor.layout.tally import Tally
-from sparseskin.nodes.sensor.layout.times import is_time_name, named_unit
+from sparseskin.nodes.sensor.layout.times import named_unit
 
+from .columns import time_of_rows
 from .table import TableRecording
 
 OF_LINES = {"time": "none", "columns": "", "n_rows": None, "n_cols": None}
@@ -42,25 +41,24 @@ class TransposedTable(Recording):
 
     def head(self) -> Head:
         names = self._names
-        time = self._time
+        time, notes = self._time
         axis = Axis(len(names), "lines", names)
         usable = tuple(k for k in range(len(names)) if k != time)
-
+        head = Head((axis,), usable, asks_unit=True, notes=notes)
         if time is None:
-            return Head((axis,), usable, asks_unit=True)
-        return Head(
-            (axis,),
-            usable,
+            return head
+        return replace(
+            head,
             is_timed=True,
             time_unit=self._layout.time_unit or named_unit(names[time]),
             time_name=f"line {names[time] or time + 1}",
-            asks_unit=True,
         )
 
     def blocks(self) -> Iterator[Block]:
         self.tally.begin()
         frames = self._frames
-        times = None if self._time is None else frames[:, self._time].tolist()
+        time, _ = self._time
+        times = None if time is None else frames[:, time].tolist()
         for block in Block(frames, times).parts():
             self.tally.take(len(block.numbers), len(block.numbers))
             yield block
@@ -79,25 +77,7 @@ class TransposedTable(Recording):
         return names or ("",) * self._frames.shape[1]
 
     @cached_property
-    def _time(self) -> int | None:
-        """The line of the times."""
-        setting = self._layout.time
-        names = self._names
-        if setting == "none":
-            return None
-        ends = {"first": 0, "last": len(names) - 1}
-        if setting in ends:
-            return ends[setting]
-        if setting:
-            lines = matching(setting, names, len(names), self._file.name, "time")
-        else:
-            lines = [k for k, name in enumerate(names) if name and is_time_name(name)]
-        return _only(lines, self._file) if lines else None
-
-
-def _only(lines: Sequence[int], file: File) -> int:
-    if len(lines) > 1:
-        raise SourceError(
-            f"{file.name}: {len(lines)} lines may be the times; state time, as first"
-        )
-    return lines[0]
+    def _time(self) -> tuple[int | None, tuple[str, ...]]:
+        """The line of the times, and what is to be said."""
+        name = self._file.name
+        return time_of_rows(self._names, self._frames, self._layout, name)
