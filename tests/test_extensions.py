@@ -22,7 +22,8 @@ import numpy as np
 from sparseskin.nodes.node import Node
 from sparseskin.nodes.recorder.convert.export import Export
 from sparseskin.nodes.sensor.files.format import Format
-from sparseskin.nodes.sensor.files.recording import (Parsed, WholeRecording)
+from sparseskin.nodes.sensor.files.recording import (
+    Block, Head, WholeRecording)
 
 
 class Counted(WholeRecording):
@@ -31,7 +32,7 @@ class Counted(WholeRecording):
         self.numbers = np.loadtxt(list(file.lines)[1:], ndmin=2)
 
     def read(self):
-        return Parsed(self.numbers[:, None, :], "N")
+        return Head(unit="N"), Block(self.numbers[:, None, :])
 
 
 class Own(Node):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -73,6 +74,13 @@ class Doubt:
             return ""
         return self._line
 
+    def widen(self, f_max: float) -> None:
+        """Raise the upper end of the range."""
+        self._skin = replace(self._skin, f_max=f_max)
+        self._repeats.f_max = np.float32(f_max)
+        if self._rest is not None:
+            self._rest.skin = self._skin
+
     def take_line(self) -> str:
         """That line where it is new, and there were enough frames for it; "" at other times."""
         if not self._is_new:
@@ -102,7 +110,9 @@ class Doubt:
             self._line = self._line_on(sign)
         self._sign_found = sign.is_found
 
-        repeats = self._repeats.reason(forces)
+        # The margin of a frame is used once: not all sources count what is clipped.
+        repeats = self._repeats.reason(forces, self.clipped.margin)
+        self.clipped.margin = None
         return self.level or self.clipped.reason(self._skin.n_taxels) or repeats
 
     def filled(self, forces: Floats) -> Floats:

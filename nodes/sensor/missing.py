@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from dataclasses import replace
 
 import numpy as np
 import numpy.typing as npt
@@ -85,6 +86,11 @@ class MissingReadings:
             filled[missing] = self._previous[missing]
         self._previous = filled
         return filled, np.packbits(missing)
+
+    def widen(self, f_max: float) -> None:
+        """Raise the upper end of the range."""
+        self._whole = replace(self._whole, f_max=f_max)
+        self.skin = replace(self.skin, f_max=f_max)
 
     def take_lines(self) -> Iterable[str]:
         """Lines for the log since the last call."""

@@ -425,6 +425,7 @@ class Sensor(SourceNode[SensorSettings]):
             if self._next is not None or source.is_live:
                 break
 
+        self._widen()
         self._watch_range()
         if source.is_live:
             self._log_lines()
@@ -438,6 +439,17 @@ class Sensor(SourceNode[SensorSettings]):
             self.acquired = self._next is not None
             if frame is None:
                 self.begin(self.context.clock.now_ns())  # no frame is made up for
+
+    def _widen(self) -> None:
+        """Follow the range of a recording, which a larger reading has widened."""
+        if self._source.skin.f_max <= self._source_skin.f_max:
+            return
+        self._source_skin = replace(self._source_skin, f_max=self._source.skin.f_max)
+        self._readings.widen(self._source_skin.f_max)
+        self._readings.is_news = True
+        if self._doubt is not None:
+            self._doubt.widen(self._source_skin.f_max)
+        self._log_lines()
 
     def _read(self, stamp_ns: int, forces: Floats) -> _Frame | None:
         """Convert a frame of the source; None during a tare."""

@@ -54,7 +54,7 @@ class Repeats:
     """
 
     def __init__(self, skin: Skin) -> None:
-        self._f_max = np.float32(skin.f_max)
+        self.f_max = np.float32(skin.f_max)
         self._margin = Margin()
         self._exists = skin.exists.reshape(-1)
         self._are_all = skin.mask is None
@@ -69,15 +69,16 @@ class Repeats:
         self._n_pairs = 0
         self._n_repeated = 0
 
-    def reason(self, forces: Floats) -> str:
+    def reason(self, forces: Floats, margin: float | None = None) -> str:
         """Add a frame, float32 (n_rows, n_cols), 0 in masked cells. Returns its `Reason`, "" where
-        it has none.
+        it has none. `margin`: what noise may exceed 0 by; None: it is measured.
         """
         readings = forces.reshape(-1)
         if self._is_any_stuck:
             self._set_stuck(np.zeros(forces.shape, np.bool_))
-        taxels = readings if self._are_all else readings[self._exists]
-        margin = self._margin.of(taxels, float(self._f_max), None)
+        if margin is None:
+            taxels = readings if self._are_all else readings[self._exists]
+            margin = self._margin.of(taxels, float(self.f_max), None)
         before = self._last
         self._last = readings.copy()
         if readings.size != before.size:
@@ -94,7 +95,7 @@ class Repeats:
         needed = self._needed()
         if self._runs.max() < needed:
             return ""
-        at_end = readings[repeated] >= self._f_max
+        at_end = readings[repeated] >= self.f_max
         is_stuck = self._runs >= np.where(at_end, max(needed, LEAST_RUN_AT_END), needed)
         stuck = repeated[is_stuck]
         is_frozen = stuck.size == np.count_nonzero(readings)

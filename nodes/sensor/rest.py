@@ -36,7 +36,7 @@ class Rest:
     """
 
     def __init__(self, skin: Skin) -> None:
-        self._skin = skin
+        self.skin = skin
         self._noise = MeasuredNoise()
         self._sum: Doubles = np.zeros(skin.shape)
         self._n_frames = 0  # of the sum
@@ -60,8 +60,8 @@ class Rest:
             return ""
         lowest = self._levels.min()
         highest = self._levels.max()
-        levels = f"{lowest:.2g} to {highest:.2g} {printable(self._skin.unit)}"
-        part = f"{self._levels.size} of {self._skin.n_taxels}"
+        levels = f"{lowest:.2g} to {highest:.2g} {printable(self.skin.unit)}"
+        part = f"{self._levels.size} of {self.skin.n_taxels}"
         observation = f"{part} taxels read {levels} at first, and may do so at rest"
         answers = (
             f"tare={TARE_FRAMES} if nothing touched them, tare=0 if these are forces"
@@ -81,7 +81,7 @@ class Rest:
             self._look()
             self.is_settled |= is_last and not self._levels.size
         elif is_last:
-            means = self._sum[self._skin.exists] / TARE_FRAMES
+            means = self._sum[self.skin.exists] / TARE_FRAMES
             self.is_settled = float(np.median(means)) <= self._least()
         if not is_last:
             return False
@@ -95,7 +95,7 @@ class Rest:
 
     def _look(self) -> None:
         """Find whether the mean of the frames so far is a level."""
-        means = self._sum[self._skin.exists] / self._n_frames
+        means = self._sum[self.skin.exists] / self._n_frames
 
         # Dead taxels read 0, and are no sign of rest.
         n_below = math.ceil(DEAD * means.size)
@@ -115,4 +115,4 @@ class Rest:
 
     def _least(self) -> float:
         """Least level, in the unit of the forces."""
-        return touch_level(self._noise.sigma, self._skin.f_max, SIGMAS)
+        return touch_level(self._noise.sigma, self.skin.f_max, SIGMAS)

@@ -36,6 +36,9 @@ class Clipped:
         default=None, compare=False
     )  # True where a taxel exists; None: all
     sign: Sign = field(default_factory=Sign, compare=False)
+    #: What the noise of the last frame, as it was measured, may exceed an end of the range by; None
+    #: where it is stated.
+    margin: float | None = field(default=None, compare=False)
     _margin: Margin = field(default_factory=Margin, compare=False)
 
     @property
@@ -57,6 +60,7 @@ class Clipped:
         if self.mask is not None:
             readings = readings[self.mask]
         margin = self._margin.of(readings, high, noise)
+        self.margin = margin if noise is None else None
         self.sign.update(readings, low, margin)
         self.n_now = 0
 
@@ -88,7 +92,7 @@ class Clipped:
         """
         if self.mask is not None:
             readings = readings[self.mask]
-        margin = self._margin.of(readings, high, None)
+        margin = self.margin = self._margin.of(readings, high, None)
         self.sign.update(readings, 0.0, margin)
         beyond = (readings < low - margin) | (readings > high + margin)
         self.n_now = int(np.count_nonzero(beyond))

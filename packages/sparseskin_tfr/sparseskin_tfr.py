@@ -12,8 +12,9 @@ from sparseskin.nodes.errors import SourceError
 from sparseskin.nodes.sensor.files.format import Format
 from sparseskin.nodes.sensor.files.recording import (
     MAX_LINE_BYTES,
+    Block,
     File,
-    Parsed,
+    Head,
     WholeRecording,
 )
 from sparseskin.nodes.sensor.layout.checks import check_number, check_unit, shown
@@ -34,7 +35,7 @@ class TfrRecording(WholeRecording):
         super().__init__()
         self._file = file
 
-    def read(self) -> Parsed:
+    def read(self) -> tuple[Head, Block]:
         name = self._file.name
         head = self._head()
         shape = []
@@ -58,7 +59,8 @@ class TfrRecording(WholeRecording):
         frames = np.frombuffer(data, "<f4").reshape(-1, *shape)
         if not np.isfinite(frames).all() or frames.min() < 0:
             raise SourceError(f"{name}: a reading is negative, or no finite number")
-        return Parsed(frames, unit=head.get("unit"), rate_hz=head.get("rate_hz"))
+        properties = Head(unit=head.get("unit"), rate_hz=head.get("rate_hz"))
+        return properties, Block(frames)
 
     def _head(self) -> dict:
         line = self._file.file.readline(MAX_LINE_BYTES)

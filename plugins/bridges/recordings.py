@@ -5,9 +5,9 @@ from __future__ import annotations
 import heapq
 from collections.abc import Collection, Iterator
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
-import numpy as np
+import numpy.typing as npt
 
 from sparseskin.messages.text import printable
 from sparseskin.nodes.errors import SourceError
@@ -19,7 +19,7 @@ from sparseskin.nodes.sensor.files.recording import (
     File,
     Head,
     Recording,
-    frames_per_block,
+    gathered,
 )
 from sparseskin.nodes.sensor.layout.checks import choose, reading, unreadable
 from sparseskin.nodes.sensor.layout.layout import UnstatedError
@@ -145,14 +145,15 @@ class RosRecording(Recording):
         self.head()
         stream = self._stream
         assert stream is not None
-
-        dtype = stream.first.numbers.values.dtype.newbyteorder("=")
-        size = frames_per_block(stream.first.numbers.values.size)
         self.tally.begin()
+        yield from gathered(self._frames(stream), self.tally)
+        self._account(stream.topic)
+
+    def _frames(self, stream: Stream) -> Iterator[tuple[npt.NDArray[Any], int | float]]:
+        """Numbers and times of messages."""
+        dtype = stream.first.numbers.values.dtype.newbyteorder("=")
         is_stated = self._layout.n_stated is not None
         reads = _Reads(self._name, stream, self.tally, is_stated)
-        numbers = np.empty((size, *stream.shape), dtype)
-        times: list[int | float] = []
         turns = Turns()
         messages = in_order(self._messages((stream.topic,)))
         for n, message in enumerate(messages):
@@ -166,18 +167,8 @@ class RosRecording(Recording):
             # Several skins may send on one topic.
             if not self._layout.frame_id:
                 self._check_frames(received, messages, stream, turns)
-            times.append(reads.time(message, received, n + 1))
-            numbers[len(times) - 1] = received.numbers.values
-            if len(times) == size:
-                self.tally.take(size, size)
-                yield Block(numbers, times)
-                numbers = np.empty((size, *stream.shape), dtype)
-                times = []
-
-        if times:
-            self.tally.take(len(times), len(times))
-            yield Block(numbers[: len(times)], times)
-        self._account(stream.topic)
+            time = reads.time(message, received, n + 1)
+            yield received.numbers.values.astype(dtype, copy=False), time
 
     def _choose(self) -> Stream:
         """The topic and the field that are stated, or the only ones."""

@@ -12,10 +12,10 @@ import numpy as np
 from sparseskin.nodes.errors import SourceError
 from sparseskin.nodes.numerics.arrays import Doubles
 from sparseskin.nodes.sensor.files.recording import (
+    Block,
+    Head,
     Lines,
-    Parsed,
     WholeRecording,
-    stack_frames,
 )
 from sparseskin.nodes.sensor.layout.checks import parse_number, parse_whole, shown
 
@@ -25,6 +25,7 @@ from .movies import (
     check_number,
     parse_reading,
     parse_shape,
+    stack_frames,
 )
 
 _MATRIX = re.compile(r"Matrix:\s*(\S*)")
@@ -78,7 +79,7 @@ class EmedRecording(WholeRecording):
             )
         self._header, self._first_number = first_page
 
-    def read(self) -> Parsed:
+    def read(self) -> tuple[Head, Block]:
         header = self._header
         first_number = self._first_number
         name = self._lines.name
@@ -96,13 +97,11 @@ class EmedRecording(WholeRecording):
             page = self._next_page()
 
         period_ns = header.period_ms * 1e6
-        return Parsed(
-            forces=stack_frames(frames, name) * header.newtons_per_kpa,
-            unit="N",
-            rate_hz=1000.0 / header.period_ms,
-            stamp_ns=tuple(round(k * period_ns) for k in range(len(frames))),
-            pitch_m=header.pitch_m,
-        )
+        rate_hz = 1000.0 / header.period_ms
+        head = Head(unit="N", rate_hz=rate_hz, pitch_m=header.pitch_m)
+        forces = stack_frames(frames, name) * header.newtons_per_kpa
+        stamp_ns = [round(k * period_ns) for k in range(len(frames))]
+        return head, Block(forces, stamp_ns)
 
     def _next_page(self) -> tuple[_Header, int] | None:
         """Read to the table of the next frame: its header and number; None at the end."""

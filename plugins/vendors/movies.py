@@ -4,13 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
 from sparseskin.messages.fields import MAX_SIDE
 from sparseskin.nodes.errors import SourceError
 from sparseskin.nodes.numerics.arrays import Doubles, Mask
-from sparseskin.nodes.sensor.files.recording import Lines, rising
+from sparseskin.nodes.sensor.files.recording import Lines
 from sparseskin.nodes.sensor.layout.arrangement import check_grid
 from sparseskin.nodes.sensor.layout.checks import (
     MAX_READING,
@@ -128,4 +130,28 @@ def stamps(
             n_days += 1
         seconds = time - times_stated[0] + n_days * _DAY_S
         stamps_ns.append(round(seconds * 1e9))
-    return rising(stamps_ns, name)
+    return _rising(stamps_ns, name)
+
+
+def _rising(stamps: Sequence[int], name: str) -> tuple[int, ...] | None:
+    """Stamps since the first; None if some are repeated. SourceError if they fall."""
+    for k, (previous, stamp) in enumerate(pairwise(stamps), start=2):
+        if stamp < previous:
+            raise SourceError(
+                f"{name}: the time of frame {k} is before that of the one before it"
+            )
+    if len(set(stamps)) < len(stamps):
+        return None
+    return tuple(stamp - stamps[0] for stamp in stamps)
+
+
+def stack_frames(frames: list[npt.NDArray[Any]], where: str) -> Doubles:
+    """Stack frames into float64 (n_frames, n_rows, n_cols); SourceError if none, or too many."""
+    if not frames:
+        raise SourceError(f"{where}: the recording holds no frame")
+    try:
+        return np.stack(frames).astype(np.float64, copy=False)
+    except MemoryError:
+        raise SourceError(
+            f"{where}: {len(frames)} frames do not fit in memory"
+        ) from None

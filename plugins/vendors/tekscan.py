@@ -8,10 +8,10 @@ from itertools import islice
 from sparseskin.nodes.errors import SourceError
 from sparseskin.nodes.numerics.arrays import Doubles, Mask
 from sparseskin.nodes.sensor.files.recording import (
+    Block,
+    Head,
     Lines,
-    Parsed,
     WholeRecording,
-    stack_frames,
 )
 from sparseskin.nodes.sensor.layout.checks import parse_number, parse_whole, shown
 
@@ -21,6 +21,7 @@ from .movies import (
     check_number,
     parse_shape,
     read_cells,
+    stack_frames,
     stamps,
 )
 
@@ -79,7 +80,7 @@ class TekscanRecording(WholeRecording):
         self._times: list[float | None] = []
         self._first = self._next_frame()
 
-    def read(self) -> Parsed:
+    def read(self) -> tuple[Head, Block]:
         frames = []
         frame = self._first
         while frame is not None:
@@ -97,14 +98,13 @@ class TekscanRecording(WholeRecording):
         rate_hz = None
         if self._period_s is not None:
             rate_hz = 1.0 / self._period_s
-        return Parsed(
-            forces=forces,
+        head = Head(
             unit=self._unit,
             rate_hz=rate_hz,
-            stamp_ns=stamps(self._times, self._lines.name),
             pitch_m=self._pitch_m,
             mask=None if mask is None or mask.all() else mask,
         )
+        return head, Block(forces, stamps(self._times, self._lines.name))
 
     def _next_frame(self) -> Doubles | None:
         """Read the next frame: its readings, and its time into `_times`; None at the end mark."""

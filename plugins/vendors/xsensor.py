@@ -9,10 +9,10 @@ from typing import NamedTuple
 from sparseskin.nodes.errors import SourceError
 from sparseskin.nodes.numerics.arrays import Doubles, Mask
 from sparseskin.nodes.sensor.files.recording import (
+    Block,
+    Head,
     Lines,
-    Parsed,
     WholeRecording,
-    stack_frames,
 )
 from sparseskin.nodes.sensor.layout.checks import parse_number, parse_whole, shown
 
@@ -22,6 +22,7 @@ from .movies import (
     check_number,
     parse_shape,
     read_cells,
+    stack_frames,
     stamps,
 )
 
@@ -78,7 +79,7 @@ class XsensorRecording(WholeRecording):
         self._number = self._next_number() or 0
         self._first = self._frame()
 
-    def read(self) -> Parsed:
+    def read(self) -> tuple[Head, Block]:
         first_frame = self._first
         mask = first_frame.exists
         name = self._lines.name
@@ -105,13 +106,13 @@ class XsensorRecording(WholeRecording):
         # Where no cell is empty, those that never read a force have no sensel.
         if mask.all() and first_frame.is_part:
             mask = forces.max(axis=0) > 0
-        return Parsed(
-            forces=forces,
+        head = Head(
             unit=self._unit,
-            stamp_ns=stamps([frame.time_s for frame in frames], name, of_day=True),
             pitch_m=first_frame.pitch_m,
             mask=None if mask.all() or not mask.any() else mask,
         )
+        times_s = [frame.time_s for frame in frames]
+        return head, Block(forces, stamps(times_s, name, of_day=True))
 
     def _next(self) -> tuple[str, str] | None:
         """First cell and rest of the next line that is not blank; None at the end."""

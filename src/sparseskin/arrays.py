@@ -69,8 +69,8 @@ def compress(
     """Measure frames of taxels: y = Phi x.
 
     A level that nearly all taxels read at first, and readings that fall below rest, are warned of,
-    once a call, with the argument that answers it. What a solver of the same `phi` reconstructs is
-    then not trusted.
+    once a call, with the argument that answers it. `phi.reasons` states of each frame why it is not
+    to be trusted, "" if it is; what a solver of the same `phi` reconstructs of it is not, either.
 
     Parameters
     ----------
@@ -170,7 +170,7 @@ def _zeroed(
     frames: Floats, exists: Mask, phi: Phi, tare: int | None, invert: bool
 ) -> Floats:
     """Forces of readings, float32 (k, n_rows, n_cols), by tare and sign; warn of what is found of
-    them, and note on `phi` what is found of the last one.
+    them, and note on `phi` what is found of each.
     """
     if len(frames) < (tare or 0):
         raise PhiError(f"compress: tare = {tare}: there are {len(frames)} frames")
@@ -187,11 +187,13 @@ def _zeroed(
     forces = frames.copy() if zero.changes_readings else frames
     can_fall = zero.changes_readings or bool((readings < 0).any())
     # Once nothing more can be found out, frames are forces as they are.
+    reasons = [""] * len(frames)
     for k, frame in enumerate(frames):
         if zero.doubt.is_settled and not can_fall:
             break
         forces[k] = zero.forces(frame)
-    phi.sensed = str(zero.reason)
+        reasons[k] = str(zero.reason)
+    phi.reasons = tuple(reasons)
 
     line = zero.doubt.line
     # A frame alone may show a level, but not whether it stays.
@@ -265,10 +267,11 @@ def reconstruct(measurements: Floats, solver: Solver) -> Floats:
     Returns
     -------
     ndarray of float32, shape (n_rows, n_cols) or (k, n_rows, n_cols)
-        Forces, newtons, 0 or more; 0 where no taxel exists. `solver.reason` states why the last
-        frame is not to be trusted, "" if it is, as in a graph, by what the last `compress` with
-        the same phi found of its readings, too; `solver.noise_sd` and `solver.noise_model`, a
-        `NoiseModel`, help it to see; set them before the first frame.
+        Forces, newtons, 0 or more; 0 where no taxel exists. `solver.reasons` states of each frame
+        why it is not to be trusted, "" if it is, as in a graph, by what the last `compress` with
+        the same phi found of its readings, too; `solver.reason` is that of the last frame.
+        `solver.noise_sd` and `solver.noise_model`, a `NoiseModel`, help it to see; set them before
+        the first frame.
 
     Raises
     ------
@@ -295,17 +298,23 @@ def reconstruct(measurements: Floats, solver: Solver) -> Floats:
     y = real_floats(measurements, "measurements", SolverError)
     if y.ndim not in (1, 2):
         raise SolverError(f"measurements have shape {y.shape}; expected (m,) or (k, m)")
+    sensed = _sensed(solver, 1 if y.ndim == 1 else len(y))
     if y.ndim == 1:
         # A single frame may be any of a stream: its row subset is stated.
-        return _reconstructed(y, solver)
+        forces = _reconstructed(y, solver, sensed[0])
+        solver.reasons = (solver.reason,)
+        return forces
 
     # Frames in order begin with the first row subset, as `compress` does.
     subsets = getattr(solver, "subsets", ())
     frames = np.zeros((len(y), *solver.mask.shape), dtype=np.float32)
+    reasons: list[str] = []
     for k, of_frame in enumerate(y):
         if subsets:
             solver.use(subsets[k % len(subsets)])
-        frames[k] = _reconstructed(of_frame, solver)
+        frames[k] = _reconstructed(of_frame, solver, sensed[k])
+        reasons.append(solver.reason)
+    solver.reasons = tuple(reasons)
     return frames
 
 
@@ -324,12 +333,21 @@ def _check_solver(solver: Solver) -> None:
         )
 
 
-def _reconstructed(y: Floats, solver: Solver) -> Floats:
-    """Forces of one frame; the solver notes why they are not to be trusted."""
+def _sensed(solver: Solver, n: int) -> Sequence[str]:
+    """What the last `compress` found of the readings of n frames; of other frames than these, what
+    it found of its last one.
+    """
+    reasons = getattr(getattr(solver, "measured_by", None), "reasons", ())
+    if len(reasons) == n:
+        return reasons
+    return [*reasons[-1:], ""][:1] * n
+
+
+def _reconstructed(y: Floats, solver: Solver, sensed: str) -> Floats:
+    """Forces of one frame; the solver notes why they are not to be trusted, by what the edge found
+    of the readings, too.
+    """
     verdict = solve_watched(solver, watch_of(solver), solver.phi, y)
-    # What the edge found of the readings goes on with the frame.
-    phi = getattr(solver, "measured_by", None)
-    sensed = getattr(phi, "sensed", "")
     solver.reason = str(first_reason(verdict.reason, sensed))
     solver.trusted = not solver.reason
     return verdict.forces

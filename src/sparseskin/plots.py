@@ -62,7 +62,8 @@ def plot_forces(
             f"plot_forces: {len(names)} titles; expected one for each of {len(frames)} frames"
         )
     try:
-        skin = Skin(*frames.shape[1:], f_max=1.0, mask=mask)
+        n_rows, n_cols = frames.shape[1:]
+        skin = Skin(n_rows, n_cols, f_max=1.0, mask=mask)
     except MessageError as error:
         raise SparseskinError(f"plot_forces: {error}") from error
     try:

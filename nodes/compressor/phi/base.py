@@ -123,8 +123,9 @@ class Phi(ABC):
     rule: int = SUMS
     #: Rows and columns of the frames that it measures, where they are known.
     grid: tuple[int, int] | None = None
-    #: Why the readings that `sparseskin.compress` measured last are not trusted, "" if they are.
-    sensed: str = ""
+    #: Why the readings of each frame that `sparseskin.compress` measured last are not trusted,
+    #: words of `Reason`; "" where they are.
+    reasons: tuple[str, ...] = ()
     has_rules: ClassVar[bool] = False
     choice: ClassVar[str] = ""
     solvers: ClassVar[Mapping[str, str]] = MappingProxyType({})

@@ -108,8 +108,10 @@ class Solver(ABC):
     #: forces.
     trusted: bool = True
     noise_sd: float = 0.0
-    #: Why the last frame that `sparseskin.reconstruct` made is not trusted, "" if it is.
+    #: Why the last frame that `sparseskin.reconstruct` made is not trusted, "" if it is; and why
+    #: each frame of its last call.
     reason: str = ""
+    reasons: tuple[str, ...] = ()
     #: What looks at the frames of a solver that is used by itself: a `FaultWatch`, or None.
     watch: Any = None
     #: Phi that the caller made, of which `subsets` are the row subsets.

@@ -40,9 +40,8 @@ class FileAddress(Address):
 
     def open(self) -> Source:
         # The file of a calibrated skin states the range of the forces, whatever the readings are.
-        return open_file(
-            self.path, self._layout, self.raw, Needs(range=self.described is None)
-        )
+        needs = Needs(range=self.described is None, widens=not self.raw)
+        return open_file(self.path, self._layout, self.raw, needs)
 
     @classmethod
     def listings(cls) -> Sequence[Listing]:

@@ -22,6 +22,7 @@ from sparseskin.nodes.numerics.array_files import (
     npy_header,
     opened_npz,
 )
+from sparseskin.nodes.sensor.layout.times import is_time_name
 
 from .dataset_recording import DatasetRecording
 from .datasets import MAX_ARRAYS, ArrayFile, Dataset
@@ -43,21 +44,65 @@ class StoredArrays(ArrayFile):
     def __init__(self, name: str) -> None:
         super().__init__(name)
         self.stored: dict[str, StoredArray] = {}
+        #: Fields of the records of each array; () where it holds none.
+        self._fields: dict[str, tuple[str, ...]] = {}
 
     def add(self, key: str, array: StoredArray, dtype: np.dtype[Any]) -> None:
-        """Add an array whose numbers are of another dtype than it stands in the file with."""
-        self.stored[key] = array
-        self.datasets[key] = Dataset(array.shape, dtype)
+        """Add an array whose numbers are of another dtype than it stands in the file with; of one
+        of records each field that is an array or a time, and the others together.
+        """
+        fields = dtype.fields
+        if fields is None or len(array.shape) != 1:
+            self._add(key, array, Dataset(array.shape, dtype))
+            return
+        numbers = []
+        for name in fields:
+            of_field = dtype[name]
+            if of_field.shape or is_time_name(name):
+                sides = array.shape + of_field.shape
+                labels = ("frames", *("",) * len(of_field.shape))
+                dataset = Dataset(sides, of_field.base, labels)
+                path = f"{key}{self.separator}{name}" if key else name
+                self._add(path, array, dataset, (name,))
+            elif of_field.kind in "iufb":
+                numbers.append(name)
+        if numbers:
+            common = np.result_type(*(dtype[name] for name in numbers))
+            sides = (*array.shape, len(numbers))
+            names = {1: tuple(numbers)}
+            dataset = Dataset(sides, common, ("frames", ""), names=names)
+            self._add(key or "fields", array, dataset, tuple(numbers))
 
     def whole(self, key: str) -> npt.NDArray[Any]:
         with refusing(self.where(key)):
-            return self.stored[key].whole().astype(self.datasets[key].dtype, copy=False)
+            return self._numbers(key, self.stored[key].whole())
 
     def blocks(self, key: str, axis: int, size: int) -> Iterator[npt.NDArray[Any]]:
-        dtype = self.datasets[key].dtype
         with refusing(self.where(key)):
             for block in self.stored[key].blocks(axis, size):
-                yield block.astype(dtype, copy=False)
+                yield self._numbers(key, block)
+
+    def _add(
+        self,
+        key: str,
+        array: StoredArray,
+        dataset: Dataset,
+        fields: tuple[str, ...] = (),
+    ) -> None:
+        self.stored[key] = array
+        self.datasets[key] = dataset
+        self._fields[key] = fields
+
+    def _numbers(self, key: str, block: npt.NDArray[Any]) -> npt.NDArray[Any]:
+        """The numbers of an array in a block of what stands in the file."""
+        dataset = self.datasets[key]
+        fields = self._fields[key]
+        if len(fields) == 1 and len(dataset.sides) != 2:
+            block = block[fields[0]]
+        elif fields:
+            parts = [block[name].reshape(len(block), -1) for name in fields]
+            block = np.concatenate(parts, axis=1, dtype=dataset.dtype)
+        return block.astype(dataset.dtype, copy=False)
 
 
 class NumpyFile(StoredArrays):
@@ -75,11 +120,13 @@ class NumpyFile(StoredArrays):
                 self._add_members(n_bytes)
             else:
                 self._file.seek(0)
-                self._add(
+                self._add_npy(
                     "", npy_header(self._file, n_bytes), self._opened, can_seek=True
                 )
 
-    def _add(self, key: str, header: NpyHeader, opened: Any, can_seek: bool) -> None:
+    def _add_npy(
+        self, key: str, header: NpyHeader, opened: Any, can_seek: bool
+    ) -> None:
         def open_at_first() -> Any:
             return opened(header.offset)
 
@@ -126,7 +173,7 @@ class NumpyFile(StoredArrays):
 
         with archive.open(member) as stream:
             header = npy_header(stream, member.file_size)
-        self._add(name, header, opened, can_seek=False)
+        self._add_npy(name, header, opened, can_seek=False)
 
 
 @contextmanager

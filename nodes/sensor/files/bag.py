@@ -14,7 +14,7 @@ from sparseskin.nodes.sensor.layout.arrangement import Axis
 from sparseskin.nodes.sensor.layout.checks import choose
 from sparseskin.nodes.sensor.layout.tally import Tally
 
-from .recording import Block, File, Head, Recording, frames_per_block
+from .recording import Block, File, Head, Recording, gathered
 
 if TYPE_CHECKING:
     from sparseskin.messages import Taxels
@@ -59,31 +59,25 @@ class BagRecording(Recording):
             return head
 
     def blocks(self) -> Iterator[Block]:
-        from sparseskin.messages.frames import known_forces
-
         self.tally.begin()
         with self._opened() as bag:
-            topic = self._topic(bag)
+            yield from gathered(self._frames(bag), self.tally)
 
-            frames: list[np.ndarray[tuple[int, ...], np.dtype[np.float32]]] = []
-            stamps: list[int] = []
-            for message in self._taxels(bag, topic):
-                forces = known_forces(message)
-                if frames and forces.shape != frames[0].shape:
-                    raise SourceError(
-                        f"{self._file.name}: {topic}: the shape of its frames changes"
-                    )
-                frames.append(forces)
-                stamps.append(message.stamp_ns)
+    def _frames(
+        self, bag: BagReader
+    ) -> Iterator[tuple[np.ndarray[tuple[int, ...], np.dtype[np.float32]], int]]:
+        """Frames and their stamps."""
+        from sparseskin.messages.frames import known_forces
 
-                if len(frames) == frames_per_block(forces.size):
-                    self.tally.take(len(frames), len(frames))
-                    yield Block(np.stack(frames), stamps)
-                    frames = []
-                    stamps = []
-            if frames:
-                self.tally.take(len(frames), len(frames))
-                yield Block(np.stack(frames), stamps)
+        topic = self._topic(bag)
+        shape = None
+        for message in self._taxels(bag, topic):
+            forces = known_forces(message)
+            shape = shape or forces.shape
+            if forces.shape != shape:
+                fault = f"{topic}: the shape of its frames changes"
+                raise SourceError(f"{self._file.name}: {fault}")
+            yield forces, message.stamp_ns
 
     @contextmanager
     def _opened(self) -> Iterator[BagReader]:

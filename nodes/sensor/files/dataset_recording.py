@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import math
-import re
 from collections.abc import Iterator, Mapping, Sequence
 from functools import cached_property
 from itertools import chain, islice
-from typing import Any, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -17,7 +16,6 @@ from sparseskin.nodes.errors import SourceError
 from sparseskin.nodes.numerics.arrays import Mask
 from sparseskin.nodes.sensor.layout import times
 from sparseskin.nodes.sensor.layout.checks import parse_number, shown
-from sparseskin.nodes.sensor.layout.layout import UnstatedError
 from sparseskin.nodes.sensor.layout.tally import Tally
 
 from .datasets import (
@@ -27,22 +25,20 @@ from .datasets import (
     MASK,
     NO_UNITS,
     OFFSET,
-    PERIOD_NAMES,
     PITCH,
     POINT_ROWS,
     POINTS,
-    RATE_NAMES,
-    RATES,
+    RATE,
     SCALE,
-    TIME_UNITS,
     UNIT,
     ArrayFile,
     frames_key,
     times_key,
     times_keys,
 )
-from .frame_axis import CHANNEL, ENDS, FrameAxis, find_frame_axis, has_time_column
+from .frame_axis import CHANNEL, FrameAxis, find_frame_axis, has_time_column
 from .recording import Block, File, Head, Recording, frames_per_block
+from .table.columns import time_of_rows
 
 
 class _Plan(NamedTuple):
@@ -157,7 +153,7 @@ class DatasetRecording(Recording):
         keys = times_keys(arrays, layout)
         n_times = {math.prod(arrays.datasets[name].sides) for name in keys}
         first_is_usual: bool | None = arrays.has_frames_first
-        if arrays.last_part(key) == FORCES:
+        if first_is_usual and arrays.last_part(key) == FORCES:
             first_is_usual = None
         frames = find_frame_axis(layout, arrays.shape(key), n_times, first_is_usual)
         n_frames = 1
@@ -196,66 +192,26 @@ class DatasetRecording(Recording):
             raise SourceError(f"{where}: {fault}; {expected}")
 
     def _with_time_column(self, plan: _Plan) -> _Plan:
-        """With the column of a table that holds the times: the stated one, or dates since 1970 in
-        the first or the last one. UnstatedError if a column may be the times, as the stated shape
-        has one taxel less.
+        """With the column of a table that holds the times, as in a table of text. Raises
+        UnstatedError if a column may be the times.
         """
         layout = self._layout
         items = plan.frames.items
+        where = self._arrays.where(plan.key)
         is_stated = has_time_column(layout)
         is_row = len(items) == 1 and plan.frames.axis is not None
         if is_stated and not is_row:
-            where = self._arrays.where(plan.key)
             fault = f"time = {layout.time}, but a frame is no row of numbers"
             raise SourceError(f"{where}: {fault}; state none, or the name of an array")
-        if not is_row:
+        is_open = is_stated or not (plan.time_key or layout.time or layout.columns)
+        if not (is_row and is_open) or layout.n_stated == items[0].size:
             return plan
-        n = items[0].size
-        if is_stated:
-            return plan._replace(time_column=self._stated_column(plan, n))
-
-        # Without a statement, only what no reading can be is taken as times: dates.
-        is_open = not (
-            plan.time_key or layout.time or layout.columns or layout.n_stated == n
-        )
-        if not is_open or n < 2:
+        (axis,) = items
+        begin = next(self._numbers(plan, frames_per_block(axis.size)), None)
+        if begin is None or axis.size < 2:
             return plan
-        begin = next(self._numbers(plan, frames_per_block(n)), np.empty((0, n)))
-        places = dict(zip(ENDS, (0, n - 1), strict=True))
-        ends = {
-            word: begin[:, column].astype(np.float64) for word, column in places.items()
-        }
-        dates = [word for word, numbers in ends.items() if times.is_epoch(numbers)]
-        if len(dates) == 1:
-            (word,) = dates
-            note = f"the {word} column holds dates: it is read as the times"
-            return plan._replace(time_column=places[word], notes=(*plan.notes, note))
-        if layout.n_stated == n - 1:
-            rising = [
-                word for word, numbers in ends.items() if (np.diff(numbers) > 0).all()
-            ]
-            self._ask_column(plan, rising)
-        return plan
-
-    def _stated_column(self, plan: _Plan, n: int) -> int:
-        """The stated column of the times, of n. Raises SourceError if there is none."""
-        text = self._layout.time
-        column = {"first": 0, "last": n - 1}.get(text)
-        if column is None:
-            column = int(text) - 1
-        if not 0 <= column < n:
-            where = self._arrays.where(plan.key)
-            raise SourceError(f"{where}: time = {text}; allowed: columns 1..{n}")
-        return column
-
-    def _ask_column(self, plan: _Plan, rising: Sequence[str]) -> None:
-        n = plan.frames.items[0].size
-        fault = f"a row has {n} numbers, one more than taxels are stated"
-        ways = " or ".join(f"time={word}" for word in rising) or "columns, as 1-16"
-        options = [{"time": word} for word in rising]
-        raise UnstatedError(
-            f"{self._arrays.where(plan.key)}: {fault}: state {ways}", *options
-        )
+        column, notes = time_of_rows(axis.names, begin, layout, where)
+        return plan._replace(time_column=column, notes=(*plan.notes, *notes))
 
     @cached_property
     def _head(self) -> Head:
@@ -319,7 +275,7 @@ class DatasetRecording(Recording):
 
     def _rate(self, plan: _Plan) -> tuple[float | None, tuple[str, ...]]:
         """Frames per second that the file states, by the first of their names."""
-        rate_hz = self._number(plan.key, RATES[0])
+        rate_hz = self._number(plan.key, RATE)
         if rate_hz is not None:
             return rate_hz, ()
         by_name: dict[str, float] = {}
@@ -328,7 +284,7 @@ class DatasetRecording(Recording):
             if array.size != 1 or array.dtype.kind not in "iuf":
                 continue
             number = float(array.reshape(()))
-            rate_of_name = rate_of(name, number)
+            rate_of_name = times.rate_of(name, number)
             if rate_of_name:
                 by_name[name] = rate_of_name
         rates = ", ".join(f"{name} = {rate:g}" for name, rate in by_name.items())
@@ -349,7 +305,11 @@ class DatasetRecording(Recording):
         for path, dataset in arrays.datasets.items():
             name = arrays.last_part(path)
             is_nearest = arrays.nearest(key, (name,)) == path
-            if is_nearest and math.prod(dataset.sides) == 1 and rate_of(name, 1.0):
+            if (
+                is_nearest
+                and math.prod(dataset.sides) == 1
+                and times.rate_of(name, 1.0)
+            ):
                 yield name, arrays.whole(path)
 
     def _unit(self, plan: _Plan) -> str | None:
@@ -386,15 +346,16 @@ class DatasetRecording(Recording):
         words = (
             text_of(attributes.get("units", attributes.get(UNIT, ""))).lower().split()
         )
-        unit = words[0] if words else ""
-        if unit in NO_UNITS or self._layout.time_unit:
+        word = words[0] if words else ""
+        if word in NO_UNITS or self._layout.time_unit:
             return times.named_unit(self._arrays.last_part(plan.time_key))
-        if unit not in TIME_UNITS:
+        unit = times.named_unit(f"_{word}")
+        if not unit:
             ways = "state time_unit, or time=none"
             raise SourceError(
-                f"{where}: its unit is {shown(unit)}, none of ns, us, ms, s; {ways}"
+                f"{where}: its unit is {shown(word)}, none of ns, us, ms, s; {ways}"
             )
-        return TIME_UNITS[unit]
+        return unit
 
     def _mask(self, plan: _Plan) -> tuple[Mask | None, tuple[str, ...]]:
         """The mask of the numbers of a frame, of its sides, and what is to be said where an array
@@ -404,68 +365,37 @@ class DatasetRecording(Recording):
         if not path:
             return None, ()
         where = self._arrays.where(path)
+        dataset = self._arrays.datasets[path]
         items = plan.frames.items
-
-        sides = [axis.size for axis in items if axis.label != CHANNEL and axis.size > 1]
+        # A taxel exists, or not, with all of its channels.
+        mask_sides = [1 if axis.label == CHANNEL else axis.size for axis in items]
+        sides = tuple(side for side in mask_sides if side > 1)
         if plan.time_column is not None:
-            sides = [sides[0] - 1]
-        shape = [side for side in self._arrays.datasets[path].sides if side > 1]
+            sides = (sides[0] - 1,)
 
-        # Of a frame that is a list of taxels, the mask may be a grid.
-        is_flat = len(sides) == 1 and math.prod(shape) == sides[0]
-        if shape not in (sides, sides[::-1]) and not is_flat:
+        forms: list[npt.NDArray[Any]] = []
+        if math.prod(dataset.sides) == math.prod(sides):
+            mask = self._arrays.property_array(path).squeeze()
+            # Of a frame that is a list of taxels, the mask may be a grid.
+            order: Literal["C", "F"] = "F" if self._layout.order == "columns" else "C"
+            forms = [mask, mask.T, mask.ravel(order)]
+        fitting = [form for form in forms if form.shape == sides]
+        if not fitting:
             if self._arrays.last_part(plan.key) != FORCES:
-                return None, (
-                    f"array {printable(path)} is no mask of a frame: not read",
-                )
-            fault = (
-                f"is {self._arrays.datasets[path].text}, but a frame {_times(sides)}"
-            )
+                note = f"array {printable(path)} is no mask of a frame: not read"
+                return None, (note,)
+            fault = f"is {dataset.text}, but a frame {' x '.join(map(str, sides))}"
             raise SourceError(f"{where}: {fault}")
-
-        mask = self._arrays.property_array(path)
-        if mask.dtype.kind not in "biu" or not np.isin(mask, (0, 1)).all():
+        exists = fitting[0]
+        if exists.dtype.kind not in "biu" or not np.isin(exists, (0, 1)).all():
             raise SourceError(
                 f"{where}: expected bool (True where a taxel exists), or 0 and 1"
             )
-        if is_flat:
-            if self._layout.order == "columns":
-                mask = mask.transpose()
-            mask = mask.ravel()
-            if plan.time_column is not None:
-                mask = np.insert(mask, plan.time_column, 1)
-        elif shape != sides:
-            mask = mask.transpose()
-        # A taxel exists, or not, with all of its channels.
+        if plan.time_column is not None:
+            exists = np.insert(exists, plan.time_column, 1)
         item_sides = [axis.size for axis in items]
-        mask_sides = item_sides.copy()
-        for at, axis in enumerate(items):
-            if axis.label == CHANNEL:
-                mask_sides[at] = 1
-        whole = np.broadcast_to(mask.reshape(mask_sides), item_sides)
+        whole = np.broadcast_to(exists.reshape(mask_sides), item_sides)
         return whole.astype(np.bool_), ()
-
-
-def rate_of(name: str, number: float) -> float:
-    """Frames per second that a number of that name states; 0 if it states none."""
-    words = re.sub(r"(?<=[a-z])(?=[A-Z])", "_", name)
-    letters = re.sub(r"[^a-z]", "", words.lower())
-    if not 0 < number < math.inf:
-        return 0.0
-    if letters.removesuffix("hz") in RATE_NAMES:
-        return number
-    # Of a time between frames, the unit may stand behind the name.
-    if letters in PERIOD_NAMES:
-        return 1 / number
-    unit = times.named_unit(words)
-    stem = re.sub(r"[^a-z]", "", words.lower().rpartition("_")[0])
-    if unit and stem in PERIOD_NAMES:
-        return 1e9 / (number * times.NS[unit])
-    return 0.0
-
-
-def _times(sides: Sequence[int]) -> str:
-    return " x ".join(map(str, sides))
 
 
 def text_of(value: object) -> str:

@@ -34,36 +34,11 @@ F_MAX = "f_max"
 PITCH = "pitch_m"
 PROPERTIES = frozenset({MASK, POINTS, POINT_ROWS, UNIT, RATE, F_MAX, PITCH, STAMPS})
 """Names of the arrays beside it."""
-RATES = (
-    *(RATE, "rate", "fs", "fps", "frame_rate", "frequency_hz"),
-    *("sampling_rate", "sampling_rate_hz", "sampling_frequency", "sample_rate"),
-)
-"""Names of rates in hertz, of attributes and of single numbers."""
-RATE_NAMES = frozenset(name.replace("_", "").removesuffix("hz") for name in RATES)
-PERIOD_NAMES = frozenset(
-    {"dt", "ts", "timestep", "sampletime", "frametime"}
-    | {
-        f"{word}{of}"
-        for word in ("sample", "sampling", "frame")
-        for of in ("period", "interval")
-    }
-)
-"""The same of rates, and of times between frames, in small letters without other characters."""
 SCALE = "scale_factor"
 OFFSET = "add_offset"
 FILL_VALUES = ("_FillValue", "missing_value")
 """Attributes of numbers that stand for others, and of those that stand for none."""
 NO_UNITS = frozenset({"", "-", "1", "none", "unknown", "n/a"})
-TIME_UNITS = {
-    **dict.fromkeys(("s", "sec", "second", "seconds"), "s"),
-    **dict.fromkeys(("ms", "msec", "millisecond", "milliseconds"), "ms"),
-    **dict.fromkeys(("us", "µs", "usec", "microsecond", "microseconds"), "us"),
-    **dict.fromkeys(("ns", "nsec", "nanosecond", "nanoseconds"), "ns"),
-    **dict.fromkeys(("min", "minute", "minutes"), "min"),
-    **dict.fromkeys(("h", "hr", "hour", "hours"), "h"),
-    **dict.fromkeys(("d", "day", "days"), "d"),
-}
-"""Units of times as attributes state them, alone or before "since"."""
 MAX_STATE = 32
 """Numbers of a row up to which a table does not compete with an array of frames, chosen: the joints
 and poses of an arm with a hand are fewer."""
@@ -302,11 +277,8 @@ def times_key(
     nearness = {key: _common_words(key, frames) for key in as_long}
     nearest = [key for key in as_long if nearness[key] == max(nearness.values())]
     if len(nearest) > 1:
-        ways = ", ".join(f"time={printable(key)}" for key in nearest[:MAX_SHOWN])
-        fault = f"{len(nearest)} arrays may be the times of the frames: state {ways} or time=none"
-        raise UnstatedError(
-            f"{arrays.name}: {fault}", *({"time": key} for key in nearest)
-        )
+        fault = f"{arrays.name}: {len(nearest)} arrays may be the times of the frames"
+        raise UnstatedError.between(fault, "time", nearest, "time=none")
 
     ignored = [printable(key) for key in as_long if key not in nearest]
     if not ignored:
@@ -325,15 +297,12 @@ def _ask_for_times(arrays: ArrayFile, frames: str, n_frames: int) -> None:
         )
         if key == frames or not is_list or dataset.dtype.kind not in "iuf":
             continue
-        steps = np.diff(arrays.property_array(key).reshape(-1).astype(np.float64))
-        if (steps > 0).all() and (steps != 1).any():
+        if times.are_likely(arrays.property_array(key).reshape(-1)):
             rising.append(key)
     if rising:
-        ways = " or ".join(f"time={printable(key)}" for key in rising[:MAX_SHOWN])
         fault = "a number for each frame rises, and is named as no time"
-        options = [{"time": key} for key in rising]
-        raise UnstatedError(
-            f"{arrays.name}: {fault}: state {ways}, or time=none", *options
+        raise UnstatedError.between(
+            f"{arrays.name}: {fault}", "time", rising, "time=none"
         )
 
 

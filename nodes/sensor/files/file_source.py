@@ -2,7 +2,7 @@
 
 Files of up to `KEPT_BYTES` of frames are read, and checked, before the first frame is used. Of
 larger ones a first pass finds range and masks where they are needed and not stated; a second one
-yields the frames.
+yields the frames. A graph need not wait for the range: it begins with that of the first frames.
 Before a graph starts, the begin of the file is read alone.
 """
 
@@ -55,6 +55,12 @@ MAX_FRAMES = 1 << 31
 """Most frames of a recording, chosen: 24 days at 1 kHz."""
 KEPT_BYTES = 1 << 26
 """Frames of a file that are kept in memory, bytes; chosen: of three minutes of 40 x 40 at 60 Hz."""
+LARGE_BYTES = 1 << 28
+"""Size of a file that is sure to hold more, chosen: a number has at most five bytes of text."""
+BEGIN_BYTES = 1 << 20
+"""Frames of the begin of such a file, bytes; chosen: they are read in a quarter of a second."""
+MIN_WIDENING = 1.25
+"""Least ratio of a range to the one before. Chosen: each costs a new skin, Phi and solver."""
 EXAMPLES = {
     "fingers": "fingers press on the edge of a hole, Tekscan I-Scan 6900, counts"
 }
@@ -109,7 +115,9 @@ class RecordedSource(Source):
             return
         with opened(self._path, self._layout, self._raw) as frames:
             for stamp_ns, part in frames.blocks():
-                if self._needs.range:
+                if self._widens:
+                    self._widen(part)
+                elif self._needs.range:
                     self._check_range(part)
                 yield stamp_ns, part
             if not self._is_told:
@@ -199,10 +207,13 @@ class RecordedSource(Source):
         has_range = (self._layout.f_max or frames.head.f_max) is not None
         needs_range = self._needs.range and not has_range
         self._reads_twice = False
-        needs_all = (
-            needs_range or self._needs.digest or Treatment.needs_survey(self._layout)
-        )
+        self._widens = False
+        needs_all = self._needs.digest or Treatment.needs_survey(self._layout)
+        waits_for_range = needs_range and not self._needs.widens
         store: FrameStore | None = FrameStore(frames.shape)
+        limit = KEPT_BYTES
+        if frames.n_bytes > LARGE_BYTES and not self._needs.in_memory:
+            limit = BEGIN_BYTES
         for stamp_ns, part in frames.blocks():
             survey.add(part, frames.extremes)
 
@@ -210,18 +221,18 @@ class RecordedSource(Source):
                 raise SourceError(f"{frames.name}: more than {MAX_FRAMES} frames")
             if store is not None:
                 store.add(stamp_ns, part)
-            if (
-                store is None
-                or self._needs.in_memory
-                or store.frames.nbytes <= KEPT_BYTES
-            ):
-                continue
-            store = None
-            self._reads_twice = needs_range and not self._needs.digest
-
-            if not needs_all:
+            if store is not None:
+                if self._needs.in_memory or store.frames.nbytes <= limit:
+                    continue
+                store = None
+            # A range of zeros alone is none.
+            has_begun = not needs_range or survey.highest > 0
+            if not (needs_all or waits_for_range) and has_begun:
+                self._widens = needs_range
+                self._n_seen = survey.n_frames
                 survey.n_frames = 0  # not known
                 return survey
+            self._reads_twice = needs_range and not self._needs.digest
         self._store = store
         return survey
 
@@ -236,6 +247,9 @@ class RecordedSource(Source):
         if not (frames.is_timed or self._layout.rate_hz or frames.head.rate_hz):
             hint = "set rate_hz where it is another"
             lines.append(f"states no rate: taken as {DEFAULT_RATE_HZ:g} Hz; {hint}")
+        if self._widens:
+            seen = f"f_max={self.skin.f_max:g} is the largest of the first {self._n_seen} frames"
+            lines.append(f"{seen}: a larger reading widens the range; state f_max")
         if self._reads_twice:
             f_max = f"f_max={self.skin.f_max:g}"
             lines.append(
@@ -244,6 +258,16 @@ class RecordedSource(Source):
         lines += self._treatment.lines(self.skin.unit)
         self._lines.extend(lines)
         return tuple(lines)
+
+    def _widen(self, frames: Floats) -> None:
+        """Make the range one that holds these frames, where it was that of the first ones."""
+        highest = float(np.fmax.reduce(frames, axis=None))
+        if highest <= self.skin.f_max:
+            return
+        f_max = max(highest, MIN_WIDENING * self.skin.f_max)
+        line = f"a reading is {highest:g}: the range is wider from there on, f_max={f_max:g}"
+        self._lines.append(line)
+        self.skin = replace(self.skin, f_max=f_max)
 
     def _check_range(self, frames: Floats) -> None:
         """Raise SourceError at a reading above the range, which was stated before all were read."""

@@ -27,7 +27,7 @@ BAG_SUFFIXES = (".mcap", ".db3", ".mcap.zstd", ".db3.zstd")
 BAG_LOGS = ("-wal", "-shm", "-journal")
 """Ends of the files that SQLite leaves beside a bag whose recorder was killed."""
 TEXT_SUFFIXES = (".txt", ".dat", ".log", ".asc")
-TABLE_SUFFIXES = (".csv", ".tsv", *TEXT_SUFFIXES)
+TABLE_SUFFIXES = (".csv", ".tsv", ".jsonl", ".ndjson", *TEXT_SUFFIXES)
 SHARED_SUFFIXES = (".csv", ".txt", ".mcap")
 """Suffixes of the core that formats of plug-ins have, too."""
 MAX_PARTS = 1 << 20

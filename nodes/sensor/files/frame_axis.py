@@ -27,12 +27,14 @@ TAXEL_LABELS = frozenset(
 )
 _DIRECT = 0
 _WITH_TIME = 1
+_MIDDLE = 1
 _TRANSPOSED = 2
 _CHANNELS = 4
 _NO_FIT = 8
 """Fits of a frame and the stated shape, the better the smaller: as it is; with one number too many,
 which may be the time; with columns before rows. `_CHANNELS` is added where an axis has to be that
-of the channels, though no channel is stated."""
+of the channels, though no channel is stated, `_MIDDLE` where these stand between rows and columns:
+no program writes them so."""
 CHANNEL = "channel"
 ENDS = ("first", "last")
 """Columns of times, beside numbers."""
@@ -120,6 +122,7 @@ def find_frame_axis(
         fitting = _fitting(layout, array, candidates, n_times)
         axis, reason = _decided(layout, array, fitting, n_times, first_is_usual)
     way = _best_way(layout, array, axis)
+    _ask_for_channel(layout, array, way)
     return FrameAxis(axis, tuple(_items(array, way)), reason + _said(way))
 
 
@@ -180,31 +183,44 @@ def _labelled(labels: Sequence[str], is_stated: bool) -> list[int | None] | None
     return None
 
 
+def _ask_for_channel(layout: Layout, array: ArrayShape, way: _Way) -> None:
+    """Raise UnstatedError if another axis can be that of the channels as well."""
+    equal = [w for w in _ways(layout, array, way.axis) if w.fit == way.fit]
+    if way.channel is None or len(equal) < 2:
+        return
+    fault = f"which axis of {array.text} is that of the channels is not stated"
+    ways = [_axes_text(array, w) for w in equal]
+    raise UnstatedError.between(f"{array.where}: {fault}", "axes", ways)
+
+
 def _best_way(layout: Layout, array: ArrayShape, axis: int | None) -> _Way:
-    """How the axes beside that of the frames are a frame."""
+    """The best of the ways."""
+    return min(_ways(layout, array, axis), key=lambda way: way.fit)
+
+
+def _ways(layout: Layout, array: ArrayShape, axis: int | None) -> list[_Way]:
+    """How the axes beside that of the frames are a frame, in order of preference."""
     sides = array.sides
     item_axes = [at for at in array.others(axis) if sides[at] > 1]
     if any(array.labels[at].lower() in TAXEL_LABELS for at in item_axes):
         # The arrangement follows the labels, and compares the stated shape with them.
-        return _Way(axis, _DIRECT, None)
+        return [_Way(axis, _DIRECT, None)]
 
     ways: list[_Way] = []
     if len(item_axes) > 2 or layout.channel:
         extra = _DIRECT if layout.channel else _CHANNELS
-        # Several numbers per taxel stand last more often than first.
         for channel in reversed(item_axes):
             if not may_hold_channel(layout.channel, sides[channel]):
                 continue
             grid = [sides[at] for at in item_axes if at != channel]
             stated_channel = channel if layout.n_stated else None
+            between = _MIDDLE if channel in item_axes[1:-1] else 0
             for fit in _fits(layout, grid):
-                ways.append(_Way(axis, extra + fit, stated_channel))
+                ways.append(_Way(axis, extra + between + fit, stated_channel))
     grid = [sides[at] for at in item_axes]
     for fit in _fits(layout, grid):
         ways.append(_Way(axis, _DIRECT + fit, None))
-    if not ways:
-        return _Way(axis, _NO_FIT, None)
-    return min(ways, key=lambda way: way.fit)
+    return ways or [_Way(axis, _NO_FIT, None)]
 
 
 def _fits(layout: Layout, sides: Sequence[int]) -> Iterator[int]:
@@ -303,7 +319,7 @@ def _decided(
 def _first_is_plausible(sides: Sequence[int]) -> bool:
     """True if the first axis is longer than the others, or these are one, or a square."""
     item_sides = [side for side in sides[1:] if side > 1]
-    is_square = len(item_sides) == 2 and item_sides[0] == item_sides[1]
+    is_square = len(item_sides) == 2 and item_sides[0] == item_sides[1] != sides[0]
     is_longest = all(side < sides[0] for side in item_sides)
     return is_longest or len(item_sides) == 1 or is_square
 

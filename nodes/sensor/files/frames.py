@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -39,6 +40,7 @@ class Frames:
 
     def __init__(self, file: File, recording: Recording) -> None:
         self.name = file.name
+        self._parts = file.parts
         self.layout = file.layout
         self.raw = file.raw
         self.recording = recording
@@ -52,6 +54,11 @@ class Frames:
         self._sample_block: Block | None = None
         self.arrangement = self._arranged()
         self.mask = self._arranged_mask()
+
+    @property
+    def n_bytes(self) -> int:
+        """Size of the file, and of those that go on with it."""
+        return sum(Path(name).stat().st_size for name in (self.name, *self._parts))
 
     @property
     def shape(self) -> tuple[int, int]:

@@ -4,16 +4,16 @@ from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
-from itertools import pairwise
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import IO, Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
 from sparseskin.nodes.errors import SourceError
-from sparseskin.nodes.numerics.arrays import Doubles, Mask
+from sparseskin.nodes.numerics.arrays import Mask
 from sparseskin.nodes.sensor.layout.arrangement import Axis
 from sparseskin.nodes.sensor.layout.layout import EMPTY, Layout
 from sparseskin.nodes.sensor.layout.tally import Tally
@@ -25,32 +25,6 @@ BLOCK_NUMBERS = 1 << 20
 
 
 @dataclass(frozen=True, eq=False)
-class Parsed:
-    """A recording as its file states it; None where the file does not state a property."""
-
-    #: Real numbers of shape (n_frames, n_rows, n_cols), or (n_frames, n_cells), row after row,
-    #: where their shape is not stated; each >= 0 and finite wherever a taxel exists.
-    forces: npt.NDArray[Any]
-    unit: str | None = None
-    rate_hz: float | None = None
-    stamp_ns: tuple[int, ...] | None = (
-        None  # of each frame since the first, strictly increasing
-    )
-    pitch_m: float | None = None  # between neighbouring taxels
-    mask: Mask | None = None  # (n_rows, n_cols), True where a taxel exists
-    f_max: float | None = None  # upper end of the range, in `unit`
-    points: npt.NDArray[Any] | None = (
-        None  # float32 (n_taxels, 6): places, m, and unit normals
-    )
-    point_rows: npt.NDArray[Any] | None = (
-        None  # int32 (n_taxels,): their rows in a file of points
-    )
-    notes: tuple[
-        str, ...
-    ] = ()  # for the log: what was taken, where the file can be read otherwise
-
-
-@dataclass(frozen=True, eq=False)
 class Head:
     """What the begin of a recording states; None, "" or () where it states nothing.
 
@@ -58,7 +32,7 @@ class Head:
     of a single axis, `usable` are the entries that hold numbers and are no times.
     """
 
-    axes: tuple[Axis, ...]
+    axes: tuple[Axis, ...] = ()
     usable: tuple[int, ...] | None = None
     is_timed: bool = False  # `Block.times` are known
     time_unit: str = ""  # of `times.NS`
@@ -89,6 +63,14 @@ class Block(NamedTuple):
     numbers: npt.NDArray[Any]
     times: Sequence[int | float] | None = None
 
+    def parts(self) -> Iterator[Block]:
+        """The same by blocks of the usual size."""
+        size = frames_per_block(math.prod(self.numbers.shape[1:]))
+        for start in range(0, len(self.numbers), size):
+            part = slice(start, start + size)
+            times = None if self.times is None else self.times[part]
+            yield Block(self.numbers[part], times)
+
 
 class Recording(ABC):
     """An open file of a recording, which is decoded and no more: bytes become numbers, times and
@@ -109,66 +91,64 @@ class Recording(ABC):
         """
 
 
+def gathered(
+    items: Iterable[tuple[npt.NDArray[Any], int | float]], tally: Tally
+) -> Iterator[Block]:
+    """Blocks of items that come one after the other, of one shape, with their times."""
+    numbers: list[npt.NDArray[Any]] = []
+    times: list[int | float] = []
+    for item, time in items:
+        numbers.append(item)
+        times.append(time)
+        if len(numbers) == frames_per_block(item.size):
+            tally.take(len(numbers), len(numbers))
+            yield Block(np.stack(numbers), times)
+            numbers = []
+            times = []
+    if numbers:
+        tally.take(len(numbers), len(numbers))
+        yield Block(np.stack(numbers), times)
+
+
 class WholeRecording(Recording):
     """A recording of a format that states all of its layout, and is read whole."""
 
     def __init__(self) -> None:
         self.tally = Tally("frames")
-        self._parsed: Parsed | None = None
 
     @abstractmethod
-    def read(self) -> Parsed:
-        """Read the whole recording, once. Raises SourceError if anything in it is malformed."""
+    def read(self) -> tuple[Head, Block]:
+        """Read the whole recording, once: what it states, without axes; its frames, (n_frames,
+        n_rows, n_cols), and their stamps in ns, where it has any. Raises SourceError if anything
+        in it is malformed.
+        """
 
     def head(self) -> Head:
-        parsed = self._parsed = self._parsed or self.read()
-        n_rows, n_cols = parsed.forces.shape[1:]
-        return Head(
-            (Axis(n_rows, "rows"), Axis(n_cols, "cols")),
-            is_timed=parsed.stamp_ns is not None,
+        head, (frames, stamps) = self._whole
+        _, n_rows, n_cols = frames.shape
+        return replace(
+            head,
+            axes=(Axis(n_rows, "rows"), Axis(n_cols, "cols")),
+            is_timed=stamps is not None,
             time_unit="ns",
-            unit=parsed.unit,
-            rate_hz=parsed.rate_hz,
-            f_max=parsed.f_max,
-            pitch_m=parsed.pitch_m,
-            mask=parsed.mask,
-            points=parsed.points,
-            point_rows=parsed.point_rows,
-            n_items=len(parsed.forces),
-            notes=parsed.notes,
+            n_items=len(frames),
         )
 
     def blocks(self) -> Iterator[Block]:
-        self.head()
-        assert self._parsed is not None
-        forces = self._parsed.forces
-        stamps = self._parsed.stamp_ns
+        _, whole = self._whole
         self.tally.begin()
-        size = frames_per_block(math.prod(forces.shape[1:]))
-        for start in range(0, len(forces), size):
-            part = forces[start : start + size]
-            self.tally.take(len(part), len(part))
-            if stamps is None:
-                yield Block(part)
-            else:
-                yield Block(part, stamps[start : start + size])
+        for block in whole.parts():
+            self.tally.take(len(block.numbers), len(block.numbers))
+            yield block
+
+    @cached_property
+    def _whole(self) -> tuple[Head, Block]:
+        return self.read()
 
 
 def frames_per_block(n_numbers: int) -> int:
     """Items of a block, of so many numbers each."""
     return max(1, BLOCK_NUMBERS // max(1, n_numbers))
-
-
-def rising(stamps: Sequence[int], name: str) -> tuple[int, ...] | None:
-    """Stamps since the first; None if some are repeated. SourceError if they fall."""
-    for k, (previous, stamp) in enumerate(pairwise(stamps), start=2):
-        if stamp < previous:
-            raise SourceError(
-                f"{name}: the time of frame {k} is before that of the one before it"
-            )
-    if len(set(stamps)) < len(stamps):
-        return None
-    return tuple(stamp - stamps[0] for stamp in stamps)
 
 
 @dataclass(frozen=True)
@@ -228,15 +208,3 @@ class Lines(Iterator[str]):
         """Let the line that was read last be read once more."""
         self._again = True
         self.number -= 1
-
-
-def stack_frames(frames: list[npt.NDArray[Any]], where: str) -> Doubles:
-    """Stack frames into float64 (n_frames, n_rows, n_cols); SourceError if none, or too many."""
-    if not frames:
-        raise SourceError(f"{where}: the recording holds no frame")
-    try:
-        return np.stack(frames).astype(np.float64, copy=False)
-    except MemoryError:
-        raise SourceError(
-            f"{where}: {len(frames)} frames do not fit in memory"
-        ) from None

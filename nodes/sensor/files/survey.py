@@ -29,11 +29,13 @@ DIGEST_BYTES = 8
 
 
 class Needs(NamedTuple):
-    """What is needed of a recording before its first frame. `in_memory`: all frames are; they are
-    decoded once.
+    """What is needed of a recording before its first frame. `range`: the largest reading, where no
+    range is stated; with `widens` that of its begin is enough, and a larger one widens the range
+    when it comes. `in_memory`: all frames are; they are decoded once.
     """
 
     range: bool = True
+    widens: bool = False
     digest: bool = False
     in_memory: bool = False
 

@@ -212,9 +212,8 @@ def _channel_axis(layout: Layout, axes: list[Axis], where: str) -> int | None:
         fault = (
             f"which axis of {_sides(axes)} has channel {layout.channel} is not stated"
         )
-        options = [{"axes": _with_channel_at(at, len(axes))} for at in smallest]
-        ways = " or ".join(f"axes={option['axes']}" for option in options)
-        raise UnstatedError(f"{where}: {fault}: state {ways}", *options)
+        ways = [_with_channel_at(at, len(axes)) for at in smallest]
+        raise UnstatedError.between(f"{where}: {fault}", "axes", ways)
     return smallest[0]
 
 

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 from sparseskin.messages.fields import MAX_SIDE
 from sparseskin.messages.ranges import is_real
+from sparseskin.messages.text import printable
 from sparseskin.nodes.errors import SettingsError, SourceError
 from sparseskin.nodes.settings import Settings, setting
 
@@ -31,6 +32,8 @@ AXES = ("frames", "rows", "cols", "taxels", "channel", "-")
 """Names of the axes of an array; -: an axis of one entry."""
 NUMBERS_AS_TEXTS = ("columns", "channel", "time", "missing")
 """Keys of texts that may be stated as a number, too: time=1, missing=-1."""
+MAX_WAYS = 8
+"""Most values that an error lists."""
 CHANNEL = re.compile(r"\d{1,4}|[A-Za-z_]\w{0,31}")
 
 
@@ -44,6 +47,17 @@ class UnstatedError(SourceError):
     def __init__(self, text: str, *options: Mapping[str, Any]) -> None:
         super().__init__(text)
         self.options = options
+
+    @classmethod
+    def between(
+        cls, fault: str, key: str, values: Sequence[Any], otherwise: str = ""
+    ) -> UnstatedError:
+        """The error that one of several values of a key is to be stated, and what else can be."""
+        shown = [f"{key}={printable(str(value))}" for value in values[:MAX_WAYS]]
+        ways = " or ".join([*shown, *filter(None, [otherwise])])
+        if len(values) > MAX_WAYS:
+            ways += ", ..."
+        return cls(f"{fault}: state {ways}", *({key: value} for value in values))
 
 
 @dataclass(frozen=True)

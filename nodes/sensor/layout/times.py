@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -44,6 +46,17 @@ LONG_UNITS = {
     **{"µs": "us", "µ": "us", "millis": "ms", "milli": "ms", "m": "ms"},
     **{"mins": "min", "minute": "min", "hour": "h", "hr": "h", "day": "d"},
 }
+RATE_NAME = re.compile(
+    r"(?:(?:sampl\w*|frame|scan|acquisition|capture|recording|data|log\w*) ?)?"
+    r"(?:rate|freq\w*)(?: in)?(?: hz| fps)?|fs(?: hz)?|fps"
+)
+PERIOD_NAME = re.compile(
+    r"(?:seconds per frame|dt|ts|time ?step"
+    r"|(?:sampl\w*|frame) ?(?:interval|period|time)|scan (?:interval|period))(?: in)?"
+    r"(?: ([a-z]+))?"
+)
+"""Names of rates in hertz, and of times between frames, as words in small letters."""
+RATE_UNITS = ("", "hz", "fps", "1/s", "/s", "samples/s", "frames/s")
 EPOCH_S = 9.0e8, 4.2e9
 """Seconds since 1970 that can be a date: 1998 to 2103, chosen."""
 FIRST_YEAR = 1998
@@ -78,6 +91,28 @@ def named_unit(name: str) -> str:
         return ""
     unit = next(filter(None, match.groups()), "s")
     return LONG_UNITS.get(unit, unit)
+
+
+def rate_of(name: str, number: float, unit: str = "") -> float:
+    """Frames per second that a number of that name and unit states; 0 if it states none."""
+    words = re.sub(r"(?<=[a-z])(?=[A-Z])", " ", name).lower()
+    words = re.sub(r"[^a-z]+", " ", words).strip()
+    if not 0 < number < math.inf:
+        return 0.0
+    if RATE_NAME.fullmatch(words) and unit in RATE_UNITS:
+        return number
+    period = PERIOD_NAME.fullmatch(words)
+    if period is None:
+        return 0.0
+    # Of a time between frames, the unit may stand behind the name.
+    period_unit = named_unit(f"_{period[1] or unit or 's'}")
+    return 1e9 / (number * NS[period_unit]) if period_unit else 0.0
+
+
+def are_likely(numbers: npt.NDArray[Any]) -> bool:
+    """True if numbers rise as times do; those that rise by 1 count."""
+    steps = np.diff(numbers.astype(np.float64))
+    return bool((steps > 0).all() and (steps != 1).any())
 
 
 def iso_ns(text: str) -> int | None:

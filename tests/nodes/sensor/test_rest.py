@@ -346,13 +346,19 @@ def test_arrays_trust_a_level_at_rest_once_it_is_answered(sign):
         RuntimeWarning, match=r"^compress: 48 of 48 taxels read .* tare=30 if"
     ):
         y = sparseskin.compress(frames, phi)
+    assert phi.reasons == ("rest",) * len(frames)
     sparseskin.reconstruct(y, solver)
     assert solver.reason == "rest"
+    assert solver.reasons == phi.reasons
     assert not solver.trusted
 
     solver.reset()
     y = sparseskin.compress(frames, phi, tare=30, invert=sign < 0)
     forces = sparseskin.reconstruct(y, solver)
+    # The frames of the tare are none of forces.
+    assert phi.reasons == ("rest",) * 30 + ("",) * (len(frames) - 30)
+    assert solver.reasons[:30] == phi.reasons[:30]
+    assert "rest" not in solver.reasons[30:]
     assert solver.reason == ""
     assert solver.trusted
     np.testing.assert_allclose(forces[-1][2:4, 3:6], 200, atol=12)

@@ -5,8 +5,10 @@ from __future__ import annotations
 import re
 from collections.abc import Sequence
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
 from sparseskin.nodes.errors import SourceError
 from sparseskin.nodes.sensor.layout.checks import shown
@@ -18,6 +20,7 @@ from sparseskin.nodes.sensor.layout.names import (
 from sparseskin.nodes.sensor.layout.times import (
     CLOCK_UNIT,
     ISO,
+    are_likely,
     clock_ns,
     is_epoch,
     is_time_name,
@@ -36,6 +39,7 @@ from .sample import (
     is_indexed,
     is_value,
 )
+from .text import Dialect
 
 RISING_LINES = 8
 """Least lines in which times rise; chosen: eight readings without a trend rise once in 40,000."""
@@ -44,6 +48,8 @@ SOURCE_WORDS = (
     *("device_id", "skin", "patch", "mat", "board", "module"),
 )
 """Names of columns that state which skin a line is of."""
+MAX_ROWS = 100
+"""Rows of numbers that are looked at, chosen."""
 MAX_SKINS = 16
 """Most skins whose lines take turns in one table; chosen."""
 MIN_ROUNDS = 3
@@ -87,10 +93,8 @@ def time_column(
     # Names first, then texts that are times, then dates.
     for candidates, note in ((by_name, ""), (texts, ""), (dates, "holds dates")):
         if len(candidates) > 1:
-            labels = " or ".join(f"time={head.label(k)}" for k in candidates)
-            options = [{"time": head.names[k] or str(k + 1)} for k in candidates]
-            fault = f"{len(candidates)} columns may be the times: state {labels}"
-            raise UnstatedError(f"{name}: {fault}", *options)
+            fault = f"{name}: {len(candidates)} columns may be the times"
+            raise UnstatedError.between(fault, "time", _keys(head, candidates))
         if candidates:
             if note:
                 head.notes += (f"column {head.label(candidates[0])} {note}: the times",)
@@ -102,6 +106,20 @@ def time_column(
     if column is None and layout.rate_hz is None:
         _ask_for_times(head, layout, data, name)
     return column
+
+
+def time_of_rows(
+    names: Sequence[str], rows: npt.NDArray[Any], layout: Layout, where: str
+) -> tuple[int | None, tuple[str, ...]]:
+    """The same of rows of numbers, (k, n), and what is to be said."""
+    names = tuple(names) or ("",) * rows.shape[1]
+    everything = tuple(range(rows.shape[1]))
+    head = TableHead(Dialect(","), len(names), names=names, numeric=everything)
+    lines = [
+        Line(k, "", tuple(map(str, row)))
+        for k, row in enumerate(rows[:MAX_ROWS].tolist())
+    ]
+    return time_column(head, layout, lines, where), head.notes
 
 
 def _without_nanoseconds(head: TableHead, columns: Sequence[int]) -> list[int]:
@@ -123,13 +141,14 @@ def nanoseconds_beside(head: TableHead, time: int) -> int | None:
 
 
 def _ask_for_texts(head: TableHead, data: Sequence[Line], name: str) -> None:
-    """Raise SourceError if a column holds texts that look like times, of a form that is not
-    read.
+    """Raise SourceError if a column holds texts that look like times, or is named as they are, of a
+    form that is not read.
     """
     for k in range(head.width):
         if k in head.numeric:
             continue
-        if all(TIME_LIKE.search(line.cells[k]) for line in data):
+        is_named = bool(head.names[k]) and is_time_name(head.names[k])
+        if is_named or all(TIME_LIKE.search(line.cells[k]) for line in data):
             fault = (
                 f"column {head.label(k)} holds {shown(data[0].cells[k])}, like a time"
             )
@@ -165,10 +184,9 @@ def _time_at_an_end(
         if _rises(column_of(data, k)):
             rising[word] = k
     if len(rising) > 1:
-        options = [{"time": word} for word in rising]
-        fault = "the first and the last column rise: state time=first or time=last, or columns"
-        raise UnstatedError(f"{name}: {fault}", *options)
-    # A column 0, 1, 2, ... counts the lines: it is no time.
+        fault = f"{name}: the first and the last column rise"
+        raise UnstatedError.between(fault, "time", [*rising], "columns")
+    # A column 0, 1, 2, ... may count the lines.
     for k in rising.values():
         if not _counts(column_of(data, k)):
             head.notes += (f"column {head.label(k)} rises in all lines: the times",)
@@ -193,36 +211,40 @@ def _ask_for_times(
         is_named = is_indexed(head, k) or head.names[k].lower() in FRAME_WORDS
         if k in taxels or is_named:
             continue
-        steps = np.diff(column_of(data, k))
-        if (steps > 0).all() and (steps != 1).any():
+        if are_likely(column_of(data, k)):
             rising.append(k)
     # Where all columns rise, it is the load that does.
     if not rising or len(rising) == len(head.numeric):
         return
 
-    labels = ", ".join(f"time={head.label(k)}" for k in rising[:MAX_SHOWN])
-    if len(rising) > MAX_SHOWN:
-        labels += ", ..."
     columns = "column rises" if len(rising) == 1 else "columns rise"
-    ways = f"state {labels} or, if these are no times, time=none"
-    options = [{"time": head.names[k] or str(k + 1)} for k in rising]
-    raise UnstatedError(
-        f"{name}: {len(rising)} {columns} in all lines: {ways}", *options
-    )
+    fault = f"{name}: {len(rising)} {columns} in all lines"
+    otherwise = "time=none, if these are no times"
+    raise UnstatedError.between(fault, "time", _keys(head, rising), otherwise)
 
 
-def counters(head: TableHead, data: Sequence[Line]) -> list[int]:
-    """A column at an end of a table without names that counts its lines, which is no taxel."""
-    if head.header or head.kind != LINES or head.time is not None or len(data) < 3:
+def _keys(head: TableHead, columns: Sequence[int]) -> list[str]:
+    """Names of columns, or their numbers from 1, as `time` states them."""
+    return [head.names[k] or str(k + 1) for k in columns]
+
+
+def counters(
+    head: TableHead, layout: Layout, data: Sequence[Line], name: str
+) -> list[int]:
+    """A column at an end of a table without names that counts its lines, which is no taxel. Raises
+    UnstatedError if it may be the times, of one frame in a second or a millisecond.
+    """
+    if any(head.names) or head.kind != LINES or head.time is not None or len(data) < 3:
         return []
-    counting = [
-        k for k in {head.numeric[0], head.numeric[-1]} if _counts(column_of(data, k))
-    ]
-    if len(counting) == 1:
-        head.notes += (
-            f"column {head.label(counting[0])} counts lines, and is left out",
-        )
-        return counting
+    ends = {"first": head.numeric[0], "last": head.numeric[-1]}
+    counting = {word: k for word, k in ends.items() if _counts(column_of(data, k))}
+    if len(counting) == 1 and len(head.numeric) > 1:
+        ((word, column),) = counting.items()
+        if not layout.time and layout.rate_hz is None:
+            fault = f"{name}: column {head.label(column)} counts lines, or is the times"
+            raise UnstatedError.between(fault, "time", ["none", word])
+        head.notes += (f"column {head.label(column)} counts lines, and is left out",)
+        return [column]
     return []
 
 

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
-from itertools import islice
 
 import numpy as np
+import numpy.typing as npt
 
 from sparseskin.nodes.errors import SourceError
 from sparseskin.nodes.sensor.files.recording import File
@@ -16,9 +16,7 @@ from sparseskin.nodes.sensor.layout.names import (
     COL_WORDS,
     ROW_WORDS,
 )
-from sparseskin.nodes.sensor.layout.times import (
-    is_time_name,
-)
+from sparseskin.nodes.sensor.layout.times import are_likely, is_time_name, rate_of
 
 from .columns import (
     counters,
@@ -35,6 +33,7 @@ from .sample import (
     MAX_SHOWN,
     Line,
     LongColumns,
+    Place,
     TableHead,
     is_indexed,
     is_number,
@@ -43,28 +42,32 @@ from .sample import (
 from .text import COMMENTS, Dialect, dialect_of, pieces
 
 MAX_SAMPLE = 1000
-"""Lines of the begin that are looked at; chosen: a thousand frames."""
-COUNTED = 4
-"""Least length of a line 0, 1, 2, ... that is a header. Chosen: of readings up to 10 one frame in
-10,000 reads so."""
+MIN_SAMPLE = 50
+SAMPLE_CHARACTERS = 1 << 17
+"""Lines of the begin that are looked at, at most and at least, and their characters from which on
+there are no more. Chosen: a thousand frames of a glove, a hundred of 16 x 16, in 0.1 s.
+"""
+EVEN = 4
+"""Least length of a line with even steps, as 0, 1, 2, ..., that is a header. Chosen: of readings up
+to 10 one frame in 10,000 reads so."""
+RISING = 8
+"""The same of a line that rises. Derived: one of 40,000 random frames does."""
+FORMED = 3
+"""The same of one that rises and has another number of decimals than all lines below. Chosen."""
 RATE_LINE = re.compile(
-    r"\W*(?:(?:sampl\w*|frame|scan|acquisition|capture|recording|data|log\w*)[ _]*"
-    r"(?:rate|freq\w*)|rate|frequency|fs|fps)\b[^\w.]*(?:in\s*)?(?:hz\W+)?"
-    r"(\d+(?:\.\d+)?)[\s\"]*(?:hz|fps|1/s|/s|samples/s|frames/s)?[\s\",;\t]*",
-    re.IGNORECASE,
+    r"\W*([A-Za-z][A-Za-z_ ()\[\]]*?)\W*(\d*\.?\d+)\s*((?:1/)?[A-Za-z/]*)[\s\",;]*"
 )
-PERIOD_LINE = re.compile(
-    r"\W*(?:seconds?_per_frame|(?:sampl\w*|frame|scan)[ _]*(?:interval|period|time))\b\W*"
-    r"(?:(ms|s)\W+)?(\d*\.?\d+)\s*(ms|s|sec|seconds)?[\s\",;\t]*",
-    re.IGNORECASE,
-)
-"""Lines before a table that state its rate, or the time from frame to frame."""
+"""Lines before a table that may state its rate, or the time from frame to frame."""
 TITLE_TIME = re.compile(
     r"\d:\d\d[:.]\d|\b(?:t|ts|time|times?tamp|stamp|elapsed)\b[^\w.+-]*\d"
     r"|\d\s*(?:ns|us|ms|s|sec|seconds)\b",
     re.IGNORECASE,
 )
 """Times in lines between frames."""
+NUMBER_LINE = re.compile(r"[^\w.+-]*[A-Za-z_]*\W*?(\d+(?:\.\d+)?)\W*")
+"""Lines between frames with one number."""
+FRAME_NAME = re.compile(r"frame|img|image|sample|row|line|t\d|\W*\d", re.IGNORECASE)
+"""Begin of names of frames, and of rows of a grid, which are none of taxels."""
 EXCEL_LINE = re.compile(r"sep=(.)", re.IGNORECASE)
 VALUE_WORDS = (
     "value",
@@ -99,10 +102,6 @@ def read_head(file: File) -> TableHead:
     bodies = [(number, text) for number, text in raw[n_skipped:] if _is_body(text)]
     if not bodies:
         raise SourceError(f"{file.name}: the recording holds no frame")
-    if bodies[0][1].lstrip().startswith("{"):
-        raise SourceError(
-            f"{file.name}: lines of JSON are not read; write a table, as .csv"
-        )
     dialect = dialect_of([text for _, text in bodies[len(bodies) // 3 :]])
     if separator:
         dialect = dialect._replace(separator=separator)
@@ -111,10 +110,10 @@ def read_head(file: File) -> TableHead:
     # Width, names, and where the data begin.
     head = _sized(dialect, lines)
     lines = [line for line in lines if len(line.cells) in _widths(head)]
-    data = _headed(head, lines, raw, n_skipped)
+    data = _headed(head, lines, raw, n_skipped, layout)
     if not data:
         raise SourceError(f"{file.name}: the recording holds no frame")
-    _count_before(head, raw, data[0].number, layout, bool(separator))
+    head.n_before = data[0].number - 1
     numeric = {k for k in range(head.width) if _is_numeric(data, k, layout)}
     head.numeric = tuple(sorted(numeric | _without_readings(head, data, numeric)))
     if not head.numeric:
@@ -139,7 +138,12 @@ def read_head(file: File) -> TableHead:
     if head.time is not None:
         head.nanoseconds = nanoseconds_beside(head, head.time)
         head.time_unit = unit_of_column(head, data, layout)
-    no_taxels = (head.time, head.nanoseconds, head.source, *counters(head, data))
+    no_taxels = (
+        head.time,
+        head.nanoseconds,
+        head.source,
+        *counters(head, layout, data, file.name),
+    )
     head.usable = tuple(k for k in head.numeric if k not in no_taxels)
     _note_texts(head)
     return head
@@ -158,33 +162,42 @@ def _note_texts(head: TableHead) -> None:
 def _ask_for_axes(
     head: TableHead, layout: Layout, data: Sequence[Line], name: str
 ) -> None:
-    """Raise UnstatedError if lines have names of taxels, as s0, s1, and are as many as these."""
-    if layout.columns or layout.axes or len(data) != layout.n_stated:
+    """Raise UnstatedError if lines have names of taxels, as s0, s1, and are as many as these where
+    their number is stated.
+    """
+    if layout.columns or layout.axes or 0 in head.numeric:
         return
-    names = [line.cells[0] for line in data]
+    if head.header and layout.n_stated is None:
+        return
+    names = [line.cells[0] for line in data if not is_time_name(line.cells[0])]
     patterns = {re.sub(r"\d+", "#", text) for text in names}
     is_one_family = len(patterns) == 1 and "#" in patterns.pop()
-    if 0 in head.numeric or len(set(names)) < len(names) or not is_one_family:
+    if len(set(names)) < max(2, len(names)) or not is_one_family:
         return
-    if not all(text[:1].isalpha() for text in names):
+    if layout.n_stated not in (None, len(names)) or FRAME_NAME.match(names[0]):
         return
     fault = f"lines are named {shown(names[0])}, {shown(names[-1])}: which are taxels is not stated"
-    ways = "state axes=taxels,frames, or columns if a line is a frame"
-    raise UnstatedError(f"{name}: {fault}; {ways}", {"axes": "taxels,frames"})
+    ways = "state axes=taxels,frames, or axes=frames,taxels if a line is a frame"
+    # Of so many lines as taxels are stated, the names are those of taxels.
+    options = [{"axes": "taxels,frames"}] if layout.n_stated else []
+    raise UnstatedError(f"{name}: {fault}; {ways}", *options)
 
 
 def _first_lines(file: File) -> list[tuple[int, str]]:
     """Numbers and texts of the first lines of a file."""
     sample: list[tuple[int, str]] = []
+    n_characters = 0
     for piece in pieces(file.file, file.name):
         texts = piece.lines
         # The last line of a file that is still written may be a part of one.
         if piece.is_cut and len(texts) > 2:
             texts = texts[:-1]
-        n_missing = MAX_SAMPLE - len(sample)
-        sample += islice(enumerate(texts, start=piece.number), n_missing)
-        if len(sample) >= MAX_SAMPLE:
-            break
+        for number, text in enumerate(texts, start=piece.number):
+            sample.append((number, text))
+            n_characters += len(text)
+            is_enough = n_characters > SAMPLE_CHARACTERS and len(sample) >= MIN_SAMPLE
+            if is_enough or len(sample) >= MAX_SAMPLE:
+                return sample
     return sample
 
 
@@ -235,20 +248,34 @@ def _widths(head: TableHead) -> tuple[int, ...]:
 
 
 def _headed(
-    head: TableHead, lines: list[Line], raw: list[tuple[int, str]], n_skipped: int
+    head: TableHead,
+    lines: list[Line],
+    raw: list[tuple[int, str]],
+    n_skipped: int,
+    layout: Layout,
 ) -> list[Line]:
     """The lines of data; the head learns the names before them."""
     head.names = ("",) * head.width
+    if head.dialect.names:
+        head.names = ("",) * head.dialect.has_prefix + head.dialect.names
+        return lines
     # A title of as many words as the table has columns stands before the names of these.
     while len(lines) > 2 and _are_names(lines[1].cells[: head.width]):
         lines = lines[1:]
     begin = lines[0]
     cells = begin.cells[: head.width]
     later = lines[1:] or lines[:1]
-    if len(lines) > 1 and _is_header(cells, later):
-        head.names = tuple(name.strip() for name in cells)
+    is_labelled = len(lines) > 1 and _are_labels(cells, later)
+    # Above lines of taxels, numbers are the times.
+    if is_labelled and layout.axis_names[:1] == ("taxels",):
+        is_labelled = _counts_columns(cells)
+    if is_labelled or (len(lines) > 1 and _is_header(cells, later)):
+        # Positions are no names: their digits count nothing.
+        if not is_labelled or _counts_columns(cells):
+            head.names = tuple(name.strip() for name in cells)
+        if is_labelled:
+            head.notes += (f"the line {shown(begin.text)} labels the columns",)
         head.header = begin.text
-        head.dropped["header"] += 1
         lines = _without_units(
             head, [line for line in later if line.text != begin.text]
         )
@@ -272,7 +299,7 @@ def _without_units(head: TableHead, lines: list[Line]) -> list[Line]:
     is_header = len(lines) > 1 and _is_header(units, lines[1:])
     if not is_header or any(map(is_number, units)):
         return lines
-    head.dropped["line of units"] += 1
+    head.units = lines[0].text
     return lines[1:]
 
 
@@ -285,14 +312,7 @@ def _are_names(cells: Sequence[str]) -> bool:
 
 
 def _is_header(cells: Sequence[str], later: Sequence[Line]) -> bool:
-    """True if a line has texts in columns that hold numbers later; or it counts the columns, as
-    programs name them that know no names.
-    """
-    is_indexed_too = cells[0] == "" and len(cells) > 1
-    is_long = len(cells) >= COUNTED
-    if _counts_columns(cells) and (is_long or is_indexed_too):
-        # Frames of a test pattern count on.
-        return not _steps_by_one(later[0].cells[: len(cells)])
+    """True if a line has texts in columns that hold numbers later."""
     for k, cell in enumerate(cells):
         if is_value(cell):
             continue
@@ -311,14 +331,10 @@ def _rate(head: TableHead, raw: list[tuple[int, str]], first_number: int) -> Non
     for number, text in raw:
         if number >= first_number:
             break
-        rate = RATE_LINE.fullmatch(text)
-        period = PERIOD_LINE.fullmatch(text)
+        match = RATE_LINE.fullmatch(text)
         rate_hz = 0.0
-        if rate is not None:
-            rate_hz = float(rate[1])
-        elif period is not None and float(period[2]):
-            per_s = 1000 if "ms" in (period[1], period[3]) else 1
-            rate_hz = per_s / float(period[2])
+        if match is not None:
+            rate_hz = rate_of(match[1], float(match[2]), match[3].lower())
         if rate_hz:
             rates[rate_hz] = text.strip()
     if len(rates) == 1:
@@ -337,11 +353,20 @@ def _ask_for_titles(
     if layout.rate_hz is not None or layout.time or head.rate_hz is not None:
         return
     titles = []
+    counts: list[float] = []
+    counted_lines = []
     for number, text in raw:
         cells = head.dialect.cells(text)
         is_row = len(cells) in _widths(head) and any(map(is_number, cells))
+        is_counted = NUMBER_LINE.fullmatch(text)
         if TITLE_TIME.search(text) and not is_row:
             titles.append((number, text.strip()))
+        elif is_counted and not is_row:
+            counts.append(float(is_counted[1]))
+            counted_lines.append((number, text.strip()))
+    # Numbers of the frames rise by 1, times do not.
+    if len(counts) > 2 and are_likely(np.array(counts)):
+        titles += counted_lines
     # One such line is about the whole recording.
     later = [number for number, _ in titles if number > first_number]
     if later and len(titles) > 1:
@@ -350,9 +375,47 @@ def _ask_for_titles(
         raise SourceError(f"{name}: {fault}; state rate_hz, or time=none")
 
 
-def _steps_by_one(cells: Sequence[str]) -> bool:
-    numbers = [float(cell) for cell in cells if is_number(cell)]
-    return len(numbers) == len(cells) and bool((np.diff(numbers) == 1).all())
+def _are_labels(cells: Sequence[str], later: Sequence[Line]) -> bool:
+    """True if a line of numbers has the numbers or the places of the columns, as no line below."""
+    # An index of the lines has no label.
+    begin = int(cells[0] == "")
+    labels = cells[begin:]
+    if not labels or not all(map(is_number, labels)) or not _rises(labels):
+        return False
+    rows = [line.cells[begin : len(cells)] for line in later]
+    n_decimals = _decimals(labels)
+    are_whole_below = not any(map(_decimals, rows))
+    if are_whole_below and all("." in label for label in labels):
+        return True
+    is_formed = not any(_decimals(row) == n_decimals for row in rows)
+    if is_formed and len(rows) >= FORMED <= len(labels):
+        return True
+
+    # Frames of a test pattern go on so, perhaps beside their time.
+    parts = [part for row in rows for part in (row, row[1:], row[:-1])]
+    if _is_even(labels) and (len(labels) >= EVEN or begin):
+        return not any(map(_is_even, parts))
+    return len(labels) >= RISING and not any(map(_rises, parts))
+
+
+def _numbers(cells: Sequence[str]) -> npt.NDArray[np.float64]:
+    """Numbers of cells, NaN for other texts."""
+    return np.array([float(cell) if is_number(cell) else np.nan for cell in cells])
+
+
+def _rises(cells: Sequence[str]) -> bool:
+    return bool((np.diff(_numbers(cells)) > 0).all())
+
+
+def _is_even(cells: Sequence[str]) -> bool:
+    """True if numbers rise in steps of one size."""
+    steps = np.diff(_numbers(cells))
+    return bool((steps > 0).all() and np.allclose(steps, steps[:1], rtol=1e-3))
+
+
+def _decimals(cells: Sequence[str]) -> int:
+    """Most decimals of a cell."""
+    return max(len(cell.partition(".")[2]) for cell in cells)
 
 
 def _counts_columns(cells: Sequence[str]) -> bool:
@@ -381,42 +444,11 @@ def _named_by_comment(
         head.names = names
 
 
-def _count_before(
-    head: TableHead,
-    raw: list[tuple[int, str]],
-    first_number: int,
-    layout: Layout,
-    has_sep: bool,
-) -> None:
-    """Count the lines before the data by their names."""
-    texts_before = [text for number, text in raw if number < first_number]
-    head.n_before = len(texts_before)
-    head.dropped["line of the separator"] += int(has_sep)
-    n_skipped = max(0, min(layout.skip, len(texts_before)) - int(has_sep))
-    head.dropped["skipped lines"] += n_skipped
-    n_blank = 0
-    n_comments = 0
-    for text in texts_before[max(layout.skip, int(has_sep)) :]:
-        if not text.strip():
-            n_blank += 1
-        elif not _is_body(text):
-            n_comments += 1
-    head.dropped["blank lines"] += n_blank
-    head.dropped["comments"] += n_comments
-
-    n_others = len(texts_before) - head.dropped.total()
-    if n_others:
-        head.dropped["lines before the table"] += n_others
-
-
 def _is_numeric(data: Sequence[Line], k: int, layout: Layout) -> bool:
     """True if most cells of a column that are not missing are numbers, and some is."""
+    markers = layout.missing_texts
     cells = [line.cells[k] for line in data]
-    texts = [
-        cell
-        for cell in cells
-        if not (is_missing(cell) or cell.lower() in layout.missing_texts)
-    ]
+    texts = [c for c in cells if not (is_missing(c) or c.lower() in markers)]
     n_numbers = sum(map(is_number, texts))
     return n_numbers > 0 and 2 * n_numbers >= len(texts)
 
@@ -450,11 +482,11 @@ def _find_kind(
     head.long = _long_columns(head, layout, data)
     if head.long is not None:
         head.kind = LONG
-        head.notes += (
-            f"a line for each taxel: {head.long.n_rows} x {head.long.n_cols}",
-        )
+        sides = " x ".join(str(place.size) for place in head.long.places)
+        head.notes += (f"a line for each taxel: {sides}",)
         return
-    if head.header or layout.columns or layout.time not in ("", "none"):
+    is_named = head.header or head.dialect.names
+    if is_named or layout.columns or layout.time not in ("", "none"):
         return
     n_rows = layout.n_rows
     n_cols = layout.n_cols
@@ -530,36 +562,16 @@ def _long_columns(
 
     # The first frame shows the sides.
     frame = frames[0]
-
     key = data[0].cells[frame]
     in_frame = [line.cells for line in data if line.cells[frame] == key]
-    col_numbers = _whole_numbers([cells[col] for cells in in_frame])
-    if col_numbers is None:
-        return None
-    first_col = min(col_numbers)
-    n_cols = max(col_numbers) - first_col + 1
-    if row is None:
-        return LongColumns(frame, None, col, value, first_col=first_col, n_cols=n_cols)
-
-    row_numbers = _whole_numbers([cells[row] for cells in in_frame])
-    if row_numbers is None:
-        return None
-    first_row = min(row_numbers)
-    n_rows = max(row_numbers) - first_row + 1
-    return LongColumns(
-        frame,
-        row,
-        col,
-        value,
-        first_row=first_row,
-        first_col=first_col,
-        n_rows=layout.n_rows or n_rows,
-        n_cols=layout.n_cols or n_cols,
-    )
-
-
-def _whole_numbers(cells: Sequence[str]) -> list[int] | None:
-    """The numbers of cells; None if one is no whole number."""
-    if not all(map(str.isdecimal, cells)):
-        return None
-    return [int(cell) for cell in cells]
+    columns = [col] if row is None else [row, col]
+    stated = [None] if row is None else [layout.n_rows, layout.n_cols]
+    places = []
+    for column, size in zip(columns, stated, strict=True):
+        cells = [of_line[column] for of_line in in_frame]
+        if not all(map(str.isdecimal, cells)):
+            return None
+        numbers = list(map(int, cells))
+        first = min(numbers)
+        places.append(Place(column, first, size or max(numbers) - first + 1))
+    return LongColumns(frame, tuple(places), value)

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
+from sparseskin.nodes.sensor.layout.arrangement import Axis
 from sparseskin.nodes.sensor.layout.checks import is_missing, shown
 from sparseskin.nodes.sensor.layout.times import (
     clock_ns,
@@ -41,8 +42,8 @@ class TableHead:
     width: int  # cells of a line
     has_trailing: bool = False  # a separator ends each line
     n_before: int = 0  # lines before the first one of data
-    dropped: Counter[str] = field(default_factory=Counter)  # of these lines, by name
     header: str = ""  # the line of the names
+    units: str = ""  # the line of units
     names: tuple[str, ...] = ()
     usable: tuple[int, ...] = ()  # columns of numbers that are no times
     numeric: tuple[int, ...] = ()  # columns of numbers
@@ -62,18 +63,29 @@ class TableHead:
         return shown(name) if name else str(column + 1)
 
 
+class Place(NamedTuple):
+    """A column of rows, columns or taxels, its least number, and how many there are."""
+
+    column: int
+    first: int
+    size: int
+
+
 @dataclass(frozen=True)
 class LongColumns:
-    """Columns of a table with a line for each taxel, and the sides of a frame."""
+    """Columns of a table with a line for each taxel: of row and column, or of the taxel alone."""
 
     frame: int  # a number, or the time
-    row: int | None  # None: `col` counts all taxels
-    col: int
+    places: tuple[Place, ...]
     value: int
-    first_row: int = 0
-    first_col: int = 0
-    n_rows: int = 1
-    n_cols: int = 1
+
+    @property
+    def axes(self) -> tuple[Axis, ...]:
+        """Axes of a frame."""
+        sizes = [place.size for place in self.places]
+        if len(sizes) == 1:
+            return (Axis(sizes[0], "taxels"),)
+        return (Axis(sizes[0], "rows"), Axis(sizes[1], "cols"))
 
 
 @dataclass(frozen=True)

@@ -30,13 +30,14 @@ from sparseskin.nodes.sensor.layout.layout import UnstatedError
 from sparseskin.nodes.sensor.layout.tally import Tally
 from sparseskin.nodes.sensor.layout.times import CLOCK_UNIT, ISO, clock_ns, iso_ns
 
-from .head import read_head
+from .head import EXCEL_LINE, read_head
 from .sample import GRID, LONG, is_number
-from .text import pieces
+from .text import COMMENTS, pieces
 
 HEXADECIMAL = re.compile(
     r"0[xX][0-9a-fA-F]+|(?=[0-9A-F]*[A-F])(?=[A-F]*[0-9])[0-9A-F]{2,}|FF+"
 )
+BLANK = "blank lines"
 EXACT = float(1 << 53)
 """Largest whole number up to which float64 has all."""
 
@@ -82,9 +83,7 @@ class TableRecording(Recording):
             return (Axis(head.height, "rows"), Axis(head.width, "cols"))
         if head.long is None:
             return (Axis(head.width, "columns", head.names),)
-        if head.long.row is None:
-            return (Axis(head.long.n_cols, "taxels"),)
-        return (Axis(head.long.n_rows, "rows"), Axis(head.long.n_cols, "cols"))
+        return head.long.axes
 
     @property
     def numeric(self) -> tuple[int, ...]:
@@ -136,20 +135,18 @@ class TableRecording(Recording):
         self, file: IO[bytes], name: str, n_before: int
     ) -> Iterator[tuple[list[str], list[int], list[bool]]]:
         head = self._head
-        if n_before:
-            for label, n in head.dropped.items():
-                self.tally.drop(label, n)
         begins = True
         for piece in pieces(file, name):
             texts: list[str] = []
             numbers: list[int] = []
             begun: list[bool] = []
-            n_skipped = max(0, n_before + 1 - piece.number)
             last_number = piece.number + len(piece.lines) - 1
-            lines = enumerate(piece.lines[n_skipped:], start=piece.number + n_skipped)
-            for number, text in lines:
+            for number, text in enumerate(piece.lines, start=piece.number):
                 # The first reason counts.
-                label = self._dropped_as(text)
+                if number <= n_before:
+                    label = self._before_as(text, number)
+                else:
+                    label = self._dropped_as(text)
                 if not label and piece.is_cut and number == last_number:
                     label = self._cut_as(text)
                 if not label and head.source is not None:
@@ -164,16 +161,27 @@ class TableRecording(Recording):
                 begins = False
             yield texts, numbers, begun
 
+    def _before_as(self, text: str, number: int) -> str:
+        """The name by which a line before the first one of data is dropped."""
+        named = {self._head.header: "header", self._head.units: "line of units"}
+        if number == 1 and EXCEL_LINE.fullmatch(text.strip()):
+            return "line of the separator"
+        if number <= self._layout.skip:
+            return "skipped lines"
+        empty_as = _empty_as(text)
+        if text in named and empty_as != BLANK:
+            return named[text]
+        return empty_as or "lines before the table"
+
     def _dropped_as(self, text: str) -> str:
         """The name by which a line is dropped; "" of a line of data."""
-        stripped = text.strip()
-        if not stripped:
-            return "blank lines"
-        if stripped[0] in "#%" or stripped.startswith("//"):
-            return "comments"
+        label = _empty_as(text)
+        if label:
+            return label
         # A logger that was started again appends to its file.
         if self._head.header and text == self._head.header:
             return "repeated headers"
+        stripped = text.strip()
         begins_row = stripped[0].isdigit() or stripped[0] in '+-."[('
         # A line may be a time of day.
         if self._head.kind == GRID and (not begins_row or ":" in stripped):
@@ -272,9 +280,10 @@ class TableRecording(Recording):
                 cells.pop()
             if len(cells) != head.width:
                 place = f"{self._file.name}, line {number}"
-                raise SourceError(
-                    f"{place}: holds {len(cells)} cells; {head.width} are expected"
-                )
+                fault = f"holds {len(cells)} cells; {head.width} are expected"
+                if head.dialect.names:
+                    fault = "names other values than most lines"
+                raise SourceError(f"{place}: {fault}")
             if head.time is not None:
                 times.append(self._instant(cells, number))
             for column in head.usable or head.numeric:
@@ -390,27 +399,39 @@ class TableRecording(Recording):
         assert long is not None
 
         # Number of the frame, row and column of each line.
-        sizes = np.diff([*begins, len(rows)])
-        frame = np.repeat(np.arange(len(begins)), sizes)
-        row = np.zeros(len(rows))
-        if long.row is not None:
-            row = rows[:, long.row] - long.first_row
-        col = rows[:, long.col] - long.first_col
-        inside = (row >= 0) & (row < long.n_rows) & (col >= 0) & (col < long.n_cols)
+        counts = np.diff([*begins, len(rows)])
+        frame = np.repeat(np.arange(len(begins)), counts)
+        sizes = [place.size for place in long.places]
+        firsts = [place.first for place in long.places]
+        places = rows[:, [place.column for place in long.places]] - firsts
+        inside = ((places >= 0) & (places < sizes)).all(axis=1)
         if not inside.all():
+            names = [axis.label for axis in long.axes]
             k = int(np.argmin(inside))
-            sides = f"{long.n_rows} x {long.n_cols}, as of the first frame"
-            fault = f"row {row[k]:g}, column {col[k]:g} is outside {sides}"
+            text = ", ".join(
+                f"{name} {n:g}" for name, n in zip(names, places[k], strict=True)
+            )
+            sides = " x ".join(map(str, sizes))
+            fault = f"{text} is outside {sides}, as of the first frame"
             raise SourceError(f"{self._file.name}: {fault}")
 
         # Taxels that have no line in a frame are missing.
-        numbers = np.full((len(begins), long.n_rows, long.n_cols), np.nan)
-        numbers[frame, row.astype(np.intp), col.astype(np.intp)] = rows[:, long.value]
-        places = set(zip(frame.tolist(), row.tolist(), col.tolist(), strict=True))
-        if len(places) != len(rows):
+        shape = (len(begins), *sizes)
+        numbers = np.full(shape, np.nan)
+        cells = np.ravel_multi_index((frame, *places.T.astype(np.intp)), shape)
+        if np.unique(cells).size != len(rows):
             raise SourceError(f"{self._file.name}: a frame holds a taxel twice")
+        numbers.flat[cells] = rows[:, long.value]
 
         self.tally.take(len(rows), len(begins))
         if not times:
             return Block(numbers)
         return Block(numbers, [times[k] for k in begins])
+
+
+def _empty_as(text: str) -> str:
+    """The name by which a line without data is dropped; "" of others."""
+    stripped = text.strip()
+    if not stripped:
+        return BLANK
+    return "comments" if stripped.startswith(COMMENTS) else ""

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import codecs
 import csv
+import json
 import re
+from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
-from typing import IO, NamedTuple
+from typing import IO, Any, NamedTuple
 
 from sparseskin.nodes.errors import SourceError
 from sparseskin.nodes.sensor.files.recording import MAX_LINE_BYTES
@@ -18,6 +21,9 @@ PREFIX = re.compile(
 )
 """A time before the readings, as in "10:15:02.120 -> 1,2,3" or "0.25: [1, 2, 3]"."""
 BRACKETS = str.maketrans("", "", "[](){}")
+PAIR = re.compile(r"([A-Za-z_][\w.\[\]-]*)\s*[:=]\s*([^\s,;|]+)[\s,;|]*")
+"""A value behind its name, as in "t=120 s0=5" or "s0:5, s1:7"."""
+UTF_16 = (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)
 COMMENTS = ("#", "%", "//")
 
 
@@ -32,13 +38,16 @@ class Piece(NamedTuple):
 
 
 class Dialect(NamedTuple):
-    """How the cells of a line are separated; " " for any white space."""
+    """How the cells of a line are separated; " " for any white space. `names` are those that each
+    line states beside its values, () where it states none.
+    """
 
     separator: str
     has_decimal_comma: bool = False
     has_prefix: bool = False
     has_brackets: bool = False
     has_quotes: bool = False
+    names: tuple[str, ...] = ()
 
     @property
     def is_plain(self) -> bool:
@@ -48,6 +57,7 @@ class Dialect(NamedTuple):
             or self.has_prefix
             or self.has_brackets
             or self.has_quotes
+            or self.names
         )
 
     def cells(self, line: str) -> list[str]:
@@ -58,9 +68,14 @@ class Dialect(NamedTuple):
             if matched:
                 prefix = matched[1].strip()
                 line = line[matched.end() :]
-        if self.has_brackets:
-            line = line.translate(BRACKETS).replace('"', "")
-        cells = self._split(line)
+        if self.names:
+            values = named_values(line)
+            # The values of other names are none of these columns.
+            cells = list(values.values()) if tuple(values) == self.names else []
+        else:
+            if self.has_brackets:
+                line = line.translate(BRACKETS).replace('"', "")
+            cells = self._split(line)
         if self.has_decimal_comma:
             cells = [cell.replace(",", ".") for cell in cells]
         if self.has_prefix:
@@ -84,10 +99,16 @@ class Dialect(NamedTuple):
 
 
 def pieces(file: IO[bytes], name: str) -> Iterator[Piece]:
-    """The lines of a file from its begin, by pieces. UTF-8, or Latin-1, which decodes every byte.
-    Raises SourceError at a line of more than `MAX_LINE_BYTES`, or bytes of value 0.
+    """The lines of a file from its begin, by pieces. UTF-8, UTF-16 behind its mark, or Latin-1,
+    which decodes every byte. Raises SourceError at a line of more than `MAX_LINE_BYTES`, or bytes
+    of value 0.
     """
     file.seek(0)
+    is_utf_16 = file.read(2) in UTF_16
+    file.seek(0)
+    if is_utf_16:
+        recoded: Any = codecs.EncodedFile(file, "utf-8", "utf-16", errors="replace")
+        file = recoded
     number = 1
     is_first = True
     while data := file.read(PIECE_BYTES):
@@ -104,7 +125,7 @@ def pieces(file: IO[bytes], name: str) -> Iterator[Piece]:
             data = data.removeprefix(b"\xef\xbb\xbf")
             is_first = False
         if b"\0" in data:
-            fault = "holds bytes of value 0; save a text in UTF-16 as UTF-8"
+            fault = "holds bytes of value 0; save it as UTF-8, or as UTF-16 with a mark"
             raise SourceError(f"{name}: not a text table in UTF-8: {fault}")
         text = _decoded(data)
         is_cut = not data.endswith((b"\n", b"\r"))
@@ -122,8 +143,12 @@ def dialect_of(lines: Sequence[str]) -> Dialect:
     bodies = list(lines)
     if has_prefix:
         bodies = [PREFIX.sub("", line, count=1) for line in lines]
+    names = Counter(tuple(named_values(body)) for body in bodies)
+    usual_names, n_lines = names.most_common(1)[0]
+    if usual_names and 2 * n_lines > len(bodies):
+        return Dialect(",", has_prefix=has_prefix, names=usual_names)
     has_brackets = _are_most(
-        bodies, lambda line: re.search(r"[\[(]\s*[-+.\d]", line) is not None
+        bodies, lambda line: re.search(r"[\[({]\s*[-+.\d]", line) is not None
     )
     separator = _separator(bodies)
     has_decimal_comma = separator in (";", "\t", " ") and _have_decimal_commas(
@@ -133,6 +158,44 @@ def dialect_of(lines: Sequence[str]) -> Dialect:
         separator = ","
     has_quotes = any('"' in line for line in lines)
     return Dialect(separator, has_decimal_comma, has_prefix, has_brackets, has_quotes)
+
+
+def named_values(line: str) -> dict[str, str]:
+    """The values of a line that names each of them, as texts: an object of JSON, whose entries are
+    named as field[0] and field.name, or pairs as "s0:5, s1:7"; {} of other lines.
+    """
+    values: dict[str, str] = {}
+    if line.lstrip().startswith("{"):
+        try:
+            # Numbers stay as they are written: whole ones of any size are exact.
+            content = json.loads(
+                line, parse_float=str, parse_int=str, parse_constant=str
+            )
+        except (ValueError, RecursionError):
+            return {}
+        _add_values(values, "", content)
+        return values
+    at = 0
+    for pair in PAIR.finditer(line.strip()):
+        if pair.start() != at:
+            return {}
+        values[pair[1]] = pair[2]
+        at = pair.end()
+    return values if at == len(line.strip()) else {}
+
+
+def _add_values(values: dict[str, str], name: str, content: Any) -> None:
+    """Add the values in a content of JSON, each by the path to it."""
+    if isinstance(content, dict):
+        for key, entry in content.items():
+            _add_values(values, f"{name}.{key}" if name else key, entry)
+    elif isinstance(content, list):
+        for k, entry in enumerate(content):
+            _add_values(values, f"{name}[{k}]", entry)
+    elif content is None:
+        values[name] = ""
+    else:
+        values[name] = str(content)
 
 
 def _separator(lines: Sequence[str]) -> str:
@@ -147,14 +210,15 @@ def _separator(lines: Sequence[str]) -> str:
 
 def _is_decimal(lines: Sequence[str]) -> bool:
     """True if commas stand within numbers that white space separates."""
-    cells = [cell for line in lines for cell in line.split()]
+    rows = [cells for cells in map(str.split, lines) if len(cells) > 1]
+    cells = [cell for row in rows for cell in row]
     numbers = [cell for cell in cells if re.fullmatch(r"[-+]?\d+,\d+", cell)]
-    return len(cells) > len(lines) and 2 * len(numbers) > len(cells)
+    return 2 * len(rows) > len(lines) and 2 * len(numbers) > len(cells)
 
 
 def _have_decimal_commas(lines: Sequence[str], separator: str) -> bool:
     split = None if separator == " " else separator
-    cells = [cell.strip() for line in lines for cell in line.split(split)]
+    cells = [cell.strip(' "') for line in lines for cell in line.split(split)]
     return any(re.fullmatch(r"[-+]?\d*,\d+(?:[eE][-+]?\d+)?", cell) for cell in cells)
 
 

@@ -2,29 +2,27 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import replace
 from functools import cached_property
 
 import numpy as np
 
-from sparseskin.nodes.errors import SourceError
 from sparseskin.nodes.numerics.arrays import Doubles
 from sparseskin.nodes.sensor.files.recording import (
     Block,
     File,
     Head,
     Recording,
-    frames_per_block,
 )
 from sparseskin.nodes.sensor.layout.arrangement import Axis
-from sparseskin.nodes.sensor.layout.names import matching
 from sparseskin.nodes.sensor.layout.tally import Tally
-from sparseskin.nodes.sensor.layout.times import is_time_name, named_unit
+from sparseskin.nodes.sensor.layout.times import named_unit
 
+from .columns import time_of_rows
 from .table import TableRecording
 
-OF_LINES = {"time": "none", "columns": "", "axes": "", "n_rows": None, "n_cols": None}
+OF_LINES = {"time": "none", "columns": "", "n_rows": None, "n_cols": None}
 """What is stated of the frames, and not of the lines."""
 
 
@@ -43,32 +41,27 @@ class TransposedTable(Recording):
 
     def head(self) -> Head:
         names = self._names
-        time = self._time
+        time, notes = self._time
         axis = Axis(len(names), "lines", names)
         usable = tuple(k for k in range(len(names)) if k != time)
-
+        head = Head((axis,), usable, asks_unit=True, notes=notes)
         if time is None:
-            return Head((axis,), usable, asks_unit=True)
-        return Head(
-            (axis,),
-            usable,
+            return head
+        return replace(
+            head,
             is_timed=True,
             time_unit=self._layout.time_unit or named_unit(names[time]),
             time_name=f"line {names[time] or time + 1}",
-            asks_unit=True,
         )
 
     def blocks(self) -> Iterator[Block]:
         self.tally.begin()
         frames = self._frames
-        size = frames_per_block(frames.shape[1])
-        for start in range(0, len(frames), size):
-            part = frames[start : start + size]
-            self.tally.take(len(part), len(part))
-            if self._time is None:
-                yield Block(part)
-            else:
-                yield Block(part, part[:, self._time].tolist())
+        time, _ = self._time
+        times = None if time is None else frames[:, time].tolist()
+        for block in Block(frames, times).parts():
+            self.tally.take(len(block.numbers), len(block.numbers))
+            yield block
 
     @cached_property
     def _frames(self) -> Doubles:
@@ -84,25 +77,7 @@ class TransposedTable(Recording):
         return names or ("",) * self._frames.shape[1]
 
     @cached_property
-    def _time(self) -> int | None:
-        """The line of the times."""
-        setting = self._layout.time
-        names = self._names
-        if setting == "none":
-            return None
-        ends = {"first": 0, "last": len(names) - 1}
-        if setting in ends:
-            return ends[setting]
-        if setting:
-            lines = matching(setting, names, len(names), self._file.name, "time")
-        else:
-            lines = [k for k, name in enumerate(names) if name and is_time_name(name)]
-        return _only(lines, self._file) if lines else None
-
-
-def _only(lines: Sequence[int], file: File) -> int:
-    if len(lines) > 1:
-        raise SourceError(
-            f"{file.name}: {len(lines)} lines may be the times; state time, as first"
-        )
-    return lines[0]
+    def _time(self) -> tuple[int | None, tuple[str, ...]]:
+        """The line of the times, and what is to be said."""
+        name = self._file.name
+        return time_of_rows(self._names, self._frames, self._layout, name)

@@ -296,6 +296,24 @@ class TestChannels:
         np.testing.assert_array_equal(source.frames, (FORCES + 3).astype(np.float32))
 
 
+class TestRecords:
+    @pytest.mark.parametrize("form", [("f4", (2, 3)), ("f4", 6), None])
+    @pytest.mark.parametrize("stamp", [("stamp_ns", "i8"), ("t", "f8")])
+    def test_a_field_is_the_frames_and_another_their_times(self, tmp_path, form, stamp):
+        fields = [("data", *form)] if form else [(f"s{k}", "f4") for k in range(6)]
+        records = np.zeros(len(FORCES), [stamp, *fields])
+        times = np.arange(len(FORCES)) / 50
+        name, kind = stamp
+        records[name] = times * 1e9 if kind == "i8" else times
+        flat = FORCES.reshape(len(FORCES), -1)
+        for k, (field, *_) in enumerate(fields):
+            of_field = flat.reshape(records[field].shape) if form else flat[:, k]
+            records[field] = of_field
+        source = open_bytes(tmp_path, "a.npy", npy(records), n_rows=2, n_cols=3)
+        np.testing.assert_array_equal(source.frames, FORCES.astype(np.float32))
+        np.testing.assert_allclose(source.stamp_ns / 1e9, times, atol=1e-9)
+
+
 class TestNpy:
     @pytest.mark.parametrize(
         ("dtype", "unit"), [("f4", "N"), ("u2", "counts"), ("i8", "counts")]
@@ -340,7 +358,7 @@ class TestNpy:
                 "holds dtype complex128; allowed are integers",
             ),
             (
-                np.zeros(4, [("t", "f8"), ("f", "f4", 9)]),
+                np.zeros((4, 2), [("t", "f8"), ("f", "f4", 9)]),
                 "holds dtype .*; allowed are integers",
             ),
             (

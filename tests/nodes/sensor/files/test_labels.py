@@ -1,5 +1,7 @@
 """What a table states of itself beside its numbers: skins, rates, times, lines that are taxels."""
 
+import json
+
 import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
@@ -166,3 +168,66 @@ def test_hexadecimal_numbers_are_not_read_as_decimal_ones(tmp_path):
         read(tmp_path, text, (2, 2))
     source = read(tmp_path, text, (2, 2), missing="1F")
     assert np.isnan(source.frames[1, 0, 1])
+
+
+@FORGIVING
+@given(
+    shape=SIDES,
+    form=st.sampled_from(["list", "grid", "names", "pairs", "log"]),
+    encoding=st.sampled_from(["utf-8", "utf-16", "utf-8-sig"]),
+    seed=st.integers(0, 1000),
+)
+def test_lines_that_name_their_values_are_frames(tmp_path, shape, form, encoding, seed):
+    frames = readings_of(6, shape, seed)
+    lines = []
+    for k, frame in enumerate(frames.tolist()):
+        flat = [reading for row in frame for reading in row]
+        named = {f"s{at}": reading for at, reading in enumerate(flat)}
+        time = {"time_s": k / 50}
+        contents = {"list": time | {"data": flat}, "grid": time | {"data": frame}}
+        pairs = " ".join(f"{name}={value}" for name, value in (time | named).items())
+        clock = f"10:15:02.{20 * k:03d} -> "
+        arrows = clock + ",".join(f"{name}:{value}" for name, value in named.items())
+        texts = {"names": json.dumps(time | named), "pairs": pairs, "log": arrows}
+        lines.append(texts.get(form) or json.dumps(contents[form]))
+    path = tmp_path / "log.jsonl"
+    path.write_bytes("\n".join(lines).encode(encoding))
+    n_rows, n_cols = shape
+    layout = Layout(unit="counts", n_rows=n_rows, n_cols=n_cols)
+    source = open_file(path, layout)
+    np.testing.assert_array_equal(source.frames, frames)
+    np.testing.assert_allclose(source.stamp_ns / 1e9, np.arange(6) / 50, atol=1e-9)
+
+
+@FORGIVING
+@given(
+    shape=SIDES,
+    pitch=st.sampled_from(["0.5", "2.0", "1.25"]),
+    decimals=st.sampled_from([0, 3]),
+    seed=st.integers(0, 1000),
+)
+def test_positions_above_the_columns_are_no_frame(
+    tmp_path, shape, pitch, decimals, seed
+):
+    frames = readings_of(6, shape, seed).reshape(6, -1)
+    n_digits = len(pitch.partition(".")[2])
+    places = [f"{k * float(pitch):.{n_digits}f}" for k in range(frames.shape[1])]
+    rows = [[f"{reading:.{decimals}f}" for reading in frame] for frame in frames]
+    text = "\n".join(",".join(row) for row in [places, *rows]) + "\n"
+    if decimals and len(places) < 3:
+        return  # nothing tells two such numbers from readings
+    np.testing.assert_array_equal(
+        read(tmp_path, text, shape).frames.reshape(6, -1), frames
+    )
+
+
+def test_a_column_that_counts_may_be_the_times(tmp_path):
+    frames = readings_of(5, (1, 3), 0)
+    lines = [f"{k},{line}" for k, line in enumerate(lines_of(frames))]
+    text = "\n".join(lines) + "\n"
+    with pytest.raises(SourceError, match=r"state time=none or time=first$"):
+        read(tmp_path, text, (1, 3))
+    for stated, period_s in (({"time": "none"}, 0.01), ({"time": "first"}, 1)):
+        source = read(tmp_path, text, (1, 3), time_unit="s", **stated)
+        np.testing.assert_array_equal(source.frames, frames)
+        np.testing.assert_allclose(source.stamp_ns / 1e9, np.arange(5) * period_s)

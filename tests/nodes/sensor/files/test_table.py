@@ -12,15 +12,20 @@ from drawn_tables import tables, transposed_tables
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+from sparseskin.messages import SkinState, Taxels
 from sparseskin.messages.skin import Skin
 from sparseskin.nodes.clock import ManualClock
 from sparseskin.nodes.errors import SourceError, SparseskinError
-from sparseskin.nodes.node import Context
+from sparseskin.nodes.node import Context, Tick
 from sparseskin.nodes.numerics.array_files import read_npy, read_npz
 from sparseskin.nodes.recorder.convert.to_bag import import_file
 from sparseskin.nodes.sensor.calibration.description import of_skin
 from sparseskin.nodes.sensor.files import file_source, recording
-from sparseskin.nodes.sensor.files.file_source import n_taxels, open_file
+from sparseskin.nodes.sensor.files.file_source import (
+    MIN_WIDENING,
+    n_taxels,
+    open_file,
+)
 from sparseskin.nodes.sensor.files.table.table import TableRecording
 from sparseskin.nodes.sensor.layout.layout import Layout
 from sparseskin.nodes.sensor.missing import MissingReadings
@@ -223,9 +228,9 @@ def test_a_table_as_programs_write_it_is_read(tmp_path, text, stated, rate_hz):
             "0; add time_wrap=4294967296$",
         ),
         (
-            '{"t": 0, "s": [1, 2]}\n{"t": 1, "s": [1, 2]}\n',
+            '{"a": 0, "s": 1}\n{"a": 1}\n{"a": 3, "s": 2}\n{"a": 2, "s": 4}\n',
             ROW,
-            "lines of JSON are not read",
+            "line 2: names other values than most lines",
         ),
         (
             "1,2\n3,4\n",
@@ -242,7 +247,7 @@ def test_a_table_as_programs_write_it_is_read(tmp_path, text, stated, rate_hz):
         (
             "t,time,s0,s1\n0,5,1,1\n1,6,1,1\n",
             ROW,
-            "2 columns may be the times: state time='t' or",
+            "2 columns may be the times: state time=t or",
         ),
         (
             "timestep,s0,s1\n0.5,1,1\n0.1,1,1\n",
@@ -391,6 +396,32 @@ class TestPasses:
         arrays = read_recording(tmp_path / "log.csv", n_rows=1, unit="N")
         assert arrays["forces"].shape == (20, 1, 2)
         assert n_passes == [20]
+
+    def test_a_graph_begins_with_the_range_of_the_first_frames(
+        self, tmp_path, n_passes
+    ):
+        (tmp_path / "log.csv").write_text(self.TEXT)
+        source = f"file:{tmp_path / 'log.csv'}"
+        chosen = SensorSettings(source=source, n_rows=1, unit="N")
+        sensor = Sensor(chosen, Context("sensor", ManualClock(0)))
+        messages = [*sensor.start()]
+        for k in range(20):
+            messages += sensor.tick(Tick(k * 10_000_000, k))
+        ranges = []
+        n_frames = 0
+        for message in messages:
+            if isinstance(message, SkinState):
+                ranges.append(message.f_max)
+            if isinstance(message, Taxels):
+                # Each frame is within the range that was published before it.
+                assert message.forces.max() <= ranges[-1]
+                n_frames += 1
+        assert n_frames == 20
+        assert n_passes[1:] == [20]
+        assert n_passes[0] < 20
+        assert ranges[0] < 19
+        wider = np.array(ranges[1:]) / ranges[:-1]
+        assert (wider >= MIN_WIDENING).all()
 
     def test_an_import_decodes_it_twice(self, tmp_path, n_passes):
         (tmp_path / "log.csv").write_text(self.TEXT)
