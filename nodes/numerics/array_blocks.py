@@ -42,10 +42,10 @@ class StoredArray:
         Numbers that stand in another order in a stream that cannot seek are copied to a temporary
         file first. Raises ArrayFileError if the stream ends before the last number.
         """
-        n_axes = len(self.shape)
-        sides = self.shape[::-1] if self.by_columns else self.shape
-        at = n_axes - 1 - axis if self.by_columns else axis
+        sides = self._sides
+        at = len(sides) - 1 - axis if self.by_columns else axis
         with self.open() as stream:
+            # Entries stand in a row where no axis outside theirs has more than one.
             if math.prod(sides[:at]) == 1:
                 parts = self._in_a_row(stream, sides, at, size)
             else:
@@ -53,6 +53,11 @@ class StoredArray:
             for part in parts:
                 block = part.transpose() if self.by_columns else part
                 yield np.moveaxis(block, axis, 0)
+
+    @property
+    def _sides(self) -> tuple[int, ...]:
+        """Sides in the order of the stream, in which the last index varies fastest."""
+        return self.shape[::-1] if self.by_columns else self.shape
 
     def _in_a_row(
         self, stream: IO[bytes], sides: tuple[int, ...], at: int, size: int
@@ -79,21 +84,21 @@ class StoredArray:
                 copy.seek(0)
                 stream = copy
             begin = stream.tell()
-            for row in range(0, sides[at], n_gathered):
-                n = min(n_gathered, sides[at] - row)
-                rows = np.empty((n_outer, n, n_inner), self.dtype)
+            for first in range(0, sides[at], n_gathered):
+                n = min(n_gathered, sides[at] - first)
+                entries = np.empty((n_outer, n, n_inner), self.dtype)
                 for outer in range(n_outer):
-                    stream.seek(begin + (outer * sides[at] + row) * entry_bytes)
-                    rows[outer] = self._read(stream, (n, n_inner))
-                whole = rows.reshape(*sides[:at], n, *sides[at + 1 :])
+                    stream.seek(begin + (outer * sides[at] + first) * entry_bytes)
+                    entries[outer] = self._read(stream, (n, n_inner))
+                whole = entries.reshape(*sides[:at], n, *sides[at + 1 :])
+                outer_axes = (slice(None),) * at
                 for start in range(0, n, size):
-                    yield whole[(slice(None),) * at + (slice(start, start + size),)]
+                    yield whole[*outer_axes, start : start + size]
 
     def whole(self) -> npt.NDArray[Any]:
         """The array. Raises ArrayFileError as `blocks` does."""
         with self.open() as stream:
-            sides = self.shape[::-1] if self.by_columns else self.shape
-            array = self._read(stream, sides)
+            array = self._read(stream, self._sides)
         return array.transpose() if self.by_columns else array
 
     def _read(self, stream: Any, shape: tuple[int, ...]) -> npt.NDArray[Any]:
@@ -161,6 +166,7 @@ class InflatedSection(Section):
     def readinto(self, buffer: Any) -> int:
         """Read some bytes; 0 at the end. Raises ArrayFileError if they are damaged."""
         while not self._decoder.eof:
+            # What zlib has not inflated yet, as the buffer was full, comes first.
             packed = self._decoder.unconsumed_tail or self._file_bytes(1 << 16)
             try:
                 part = self._decoder.decompress(packed, len(buffer))

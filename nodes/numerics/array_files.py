@@ -20,6 +20,7 @@ MAX_GROWN_BYTES = 1 << 30
 MAX_HEAD_BYTES = 1 << 17
 """Longest header of an .npy, bytes; that of NumPy is a hundred."""
 _ZIP = b"PK"
+_UNREADABLE = "not a readable NumPy file"
 
 
 class ArrayFileError(ValueError):
@@ -37,9 +38,10 @@ def read_npy(raw: bytes) -> npt.NDArray[np.generic]:
     shape, in_columns, dtype = _header(head)
     n_bytes = len(raw) - head.tell()
     _check_size(shape, dtype, n_bytes)
-    flat = (
-        np.frombuffer(raw, dtype, offset=head.tell()) if n_bytes else np.empty(0, dtype)
-    )
+    # NumPy refuses a view of no bytes.
+    flat: npt.NDArray[np.generic] = np.empty(0, dtype)
+    if n_bytes:
+        flat = np.frombuffer(raw, dtype, offset=head.tell())
     try:
         return flat.reshape(shape, order="F" if in_columns else "C")
     except ValueError as error:  # no number, in sides that no index counts
@@ -95,15 +97,13 @@ def opened_npz(
     """An archive and its arrays by name; ArrayFileError for all that fails while it is open."""
     try:
         with zipfile.ZipFile(file) as archive:
-            members = archive.infolist()
-            yield (
-                archive,
-                {member.filename.removesuffix(".npy"): member for member in members},
-            )
+            members = {m.filename.removesuffix(".npy"): m for m in archive.infolist()}
+            yield archive, members
     except ArrayFileError:
         raise
-    except Exception as error:  # zipfile and zlib have ten kinds of them
-        raise ArrayFileError("not a readable NumPy file") from error
+    # zipfile and zlib raise ten kinds of error at malformed bytes.
+    except Exception as error:
+        raise ArrayFileError(_UNREADABLE) from error
 
 
 def _header(head: IO[bytes]) -> tuple[tuple[int, ...], bool, np.dtype[Any]]:
@@ -112,17 +112,16 @@ def _header(head: IO[bytes]) -> tuple[tuple[int, ...], bool, np.dtype[Any]]:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
             form = np.lib.format
-            is_first = form.read_magic(head) == (1, 0)
-            read = (
-                form.read_array_header_1_0 if is_first else form.read_array_header_2_0
-            )
-            header = read(head)
+            if form.read_magic(head) == (1, 0):
+                header = form.read_array_header_1_0(head)
+            else:
+                header = form.read_array_header_2_0(head)
         if any(isinstance(side, bool) for side in header[0]):
             raise ValueError("True is no length")
         return header
     # NumPy and its parser of Python's literals raise ten kinds of error at malformed bytes.
     except Exception as error:
-        raise ArrayFileError("not a readable NumPy file") from error
+        raise ArrayFileError(_UNREADABLE) from error
 
 
 def _check_size(shape: tuple[int, ...], dtype: np.dtype[Any], held: int) -> None:
@@ -138,21 +137,18 @@ def _check_size(shape: tuple[int, ...], dtype: np.dtype[Any], held: int) -> None
 def _member(
     archive: zipfile.ZipFile, member: zipfile.ZipInfo, name: str
 ) -> npt.NDArray[np.generic]:
+    place = f"array {ascii(name)[:40]}"
     try:
         if member.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
             raise ArrayFileError("compressed in a way that NumPy does not write")
         return read_npy(archive.read(member))
+    except ArrayFileError as error:
+        raise ArrayFileError(f"{place}: {error}") from error
     except Exception as error:
-        why = (
-            str(error)
-            if isinstance(error, ArrayFileError)
-            else "not a readable NumPy file"
-        )
-        raise ArrayFileError(f"array {ascii(name)[:40]}: {why}") from error
+        raise ArrayFileError(f"{place}: {_UNREADABLE}") from error
 
 
 def _shape(shape: tuple[int, ...]) -> str:
-    return (
-        " x ".join(str(side) if side < 1 << 40 else "2**40.." for side in shape[:8])
-        or "one"
-    )
+    # A header may state any number of sides, of any size: the text is bounded.
+    sides = [str(side) if side < 1 << 40 else "2**40.." for side in shape[:8]]
+    return " x ".join(sides) or "one"

@@ -99,6 +99,7 @@ def ready(
         for k, loop in enumerate(missing, 1):
             for signature in _SIGNATURES[loop]:
                 loop.compile(signature)  # type: ignore[attr-defined]
+            # Other types are an error of the caller: no frame is to wait for a compiler.
             loop.disable_compile()  # type: ignore[attr-defined]
             if begun_s:
                 count(k, len(missing))
@@ -125,7 +126,8 @@ def _load_blas() -> None:
     folders = [os.path.join(folder, "linalg") for folder in scipy.__path__]
     spec = PathFinder.find_spec(BLAS, folders)
     if spec is None or spec.loader is None:
-        return  # of another layout: numba imports it with its package
+        # Of another layout: numba imports it with its package.
+        return
     module = module_from_spec(spec)
     spec.loader.exec_module(module)
     sys.modules[BLAS] = module
@@ -184,8 +186,10 @@ def compiled(
     is written.
     """
     numba = import_module("numba")
+    # As in numpy a quotient by 0 raises nothing, which costs a choice in each loop.
     options: dict[str, Any] = {"nogil": True, "error_model": "numpy"}
-    options |= {"fastmath": {"reassoc"}} if sums_in_any_order else {}
+    if sums_in_any_order:
+        options["fastmath"] = {"reassoc"}
 
     def decorate(function: Function) -> Function:
         if not signatures:
@@ -205,6 +209,7 @@ def _stored(function: Function, options: Mapping[str, Any]) -> Function | None:
     """A function whose compiled code is stored; None where there is no place for it."""
     try:
         loop: Function = import_module("numba").njit(cache=True, **options)(function)
+    # numba has no class of its own for it.
     except RuntimeError as error:
         if "cannot cache" not in str(error):
             raise

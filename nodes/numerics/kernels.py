@@ -15,10 +15,17 @@ begins, and has few vectors: of many, it would not be computed on several number
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any, NamedTuple, TypeAlias
+from typing import (
+    Annotated,
+    Any,
+    NamedTuple,
+    TypeAlias,
+    TypeVar,
+    get_type_hints,
+)
 
 import numpy as np
-from numba import float32, float64, int32, int64, types, uint32, void
+from numba import float32, float64, int32, int64, types, uint32
 
 from .arrays import TINY
 from .compiled import compiled
@@ -26,6 +33,7 @@ from .compiled import compiled
 A: TypeAlias = Any
 """An array; mypy and numba read its type differently."""
 
+# Numbers of Python are float64: one of them would make a loop compute so, half as many at once.
 _ROOT_2 = np.float32(np.sqrt(2.0))
 _0 = np.float32(0)
 _1 = np.float32(1)
@@ -44,133 +52,159 @@ _N_MANTISSA = np.uint32(23)
 _MANTISSA = np.uint32(0x007FFFFF)
 _BITS_OF_1 = np.uint32(0x3F800000)
 
-# Types of arguments: vector, matrix, places and tables of them, groups, list, numbers and tables of
-# them.
-V = float32[::1]
-M = float32[:, ::1]
-P = uint32[::1]
-P2 = uint32[:, ::1]
-G = int64[:, ::1]
-L = int64[::1]
-D = float64[::1]
-DM = float64[:, ::1]
+V: TypeAlias = Annotated[Any, float32[::1]]
+"""A vector. `M`: a matrix; `P`, `P2`: places and tables of them; `G`: groups; `L`: whole numbers;
+`D`, `DM`: numbers and tables of them. mypy reads the first type, numba the second one."""
+M: TypeAlias = Annotated[Any, float32[:, ::1]]
+P: TypeAlias = Annotated[Any, uint32[::1]]
+P2: TypeAlias = Annotated[Any, uint32[:, ::1]]
+G: TypeAlias = Annotated[Any, int64[:, ::1]]
+L: TypeAlias = Annotated[Any, int64[::1]]
+D: TypeAlias = Annotated[Any, float64[::1]]
+DM: TypeAlias = Annotated[Any, float64[:, ::1]]
+_NUMBERS = {float: float64, int: int64, np.float32: float32}
+Loop = TypeVar("Loop", bound=Callable[..., Any])
+
+
+def numba_type(annotation: Any) -> Any:
+    """The type that numba has for an annotation: a number, an array, or a NamedTuple of them."""
+    if annotation in _NUMBERS:
+        return _NUMBERS[annotation]
+    if hasattr(annotation, "_fields"):
+        base: Any = types.BaseTuple
+        return base.from_types(_numba_types(annotation), annotation)
+    return annotation.__metadata__[0]
+
+
+def _numba_types(annotated: Any) -> tuple[Any, ...]:
+    hints = get_type_hints(annotated, include_extras=True)
+    hints.pop("return", None)
+    return tuple(numba_type(hint) for hint in hints.values())
+
+
+def entry(*, sums_in_any_order: bool = False) -> Callable[[Loop], Loop]:
+    """Decorator of a loop that Python calls: as `compiled`, for the types of its annotations."""
+
+    def decorate(loop: Loop) -> Loop:
+        return compiled(_numba_types(loop), sums_in_any_order=sums_in_any_order)(loop)
+
+    return decorate
 
 
 class Transform(NamedTuple):
     """W of a scrambled block Hadamard ensemble, symmetric."""
 
-    groups: A  # int64 (k, 3)
-    scale: A  # of each row: 1 / sqrt(size of its block)
+    groups: G  # int64 (k, 3)
+    scale: V  # of each row: 1 / sqrt(size of its block)
 
 
 class Measured(NamedTuple):
     """Rows that a frame reads, and vectors of them."""
 
-    read: A  # int64 (n_read,), ascending
-    values: A
-    innovation: A  # values less those predicted
-    last_innovation: A  # when these rows were read before
-    off_target: A  # values less their targets
-    residual: A  # values less W x of the estimate
-    doubt: A  # part of each value that no force explains, 0 to 1
-    excess: A  # variance that this adds to that of its noise
-    change: A  # values less those of the last estimate, without what is doubted
-    target_variance: A  # variance of the targets
-    own: A  # what each row has added to its own value in the estimate of the steps
+    read: L  # int64 (n_read,), ascending
+    values: V
+    innovation: V  # values less those predicted
+    last_innovation: V  # when these rows were read before
+    off_target: V  # values less their targets
+    residual: V  # values less W x of the estimate
+    doubt: V  # part of each value that no force explains, 0 to 1
+    excess: V  # variance that this adds to that of its noise
+    change: V  # values less those of the last estimate, without what is doubted
+    target_variance: V  # variance of the targets
+    own: V  # what each row has added to its own value in the estimate of the steps
 
 
 class Received(NamedTuple):
     """The row subset of a frame."""
 
-    order: A  # int64 (n_read,): order of the measurements in which their rows ascend
-    last_y: A  # its last measurements, float32 (n_read,)
-    ones: A  # Phi 1, in the order of the rows read
-    block: A  # int64 (n_read,): block that each row is compared within, -1 for none
+    order: L  # int64 (n_read,): order of the measurements in which their rows ascend
+    last_y: V  # its last measurements, float32 (n_read,)
+    ones: V  # Phi 1, in the order of the rows read
+    block: L  # int64 (n_read,): block that each row is compared within, -1 for none
     n_blocks: int
-    faulty: A  # 1 for a measurement that is not to count, else 0
+    faulty: V  # 1 for a measurement that is not to count, else 0
 
 
 class DoubtConstants(NamedTuple):
     """Constants of `doubt_values`."""
 
-    outlying: (
-        float  # squared change, in that of others, at which half of a value is doubted
-    )
-    clear_ratio: (
-        float  # the same in `outlying`, beyond which a larger one does not count
-    )
-    certain: float  # least part that is not doubted
+    outlying: float
+    """Squared change, in that of others, at which half of a value is doubted."""
+    clear_ratio: float
+    """The same in `outlying`, beyond which a larger one does not count."""
+    certain: float
+    """Least part that is not doubted."""
 
 
 class Estimate(NamedTuple):
     """The last estimate."""
 
-    x: A
-    rows: A  # W x
-    correction: A  # W times what the last measurements changed
+    x: V
+    rows: V  # W x
+    correction: V  # W times what the last measurements changed
 
 
 class Prediction(NamedTuple):
     """The prediction of a frame."""
 
-    x: A
-    rows: A  # W x
+    x: V
+    rows: V  # W x
 
 
 class Slopes(NamedTuple):
     """Slopes of the last estimate along rows and columns; scratch."""
 
-    of_taxels: A  # float32 (2, n)
-    of_rows: A  # W times each
+    of_taxels: M  # float32 (2, n)
+    of_rows: M  # W times each
 
 
 class Filters(NamedTuple):
     """The filter of each row."""
 
-    mean: A
-    variance: A  # that its measurements left
-    change: A  # of what has changed since
+    mean: V
+    variance: V  # that its measurements left
+    change: V  # of what has changed since
     #: float64 (4,): sums of the regressions of `move_means`, products and squares, of the growth
     #: and then of the translation.
-    confirmed: A
+    confirmed: D
 
 
 class Targets(NamedTuple):
     """The value that each row is expected to have."""
 
-    value: A
-    variance: A
+    value: V
+    variance: V
 
 
 class Iterates(NamedTuple):
     """State of the steps of a frame; scratch."""
 
-    z: A
-    u: A  # truth and noise, of a step
-    mean: A  # of the estimates so far
+    z: V
+    u: V  # truth and noise, of a step
+    mean: V  # of the estimates so far
 
 
 class TileMaps(NamedTuple):
     """Windows and tiles of a skin on a canvas with a margin around it."""
 
-    canvas: A  # uint32: place in the vector of taxels that each cell reads, n for none
-    cells: A  # uint32 (n,): cell of each taxel
-    begins: A  # uint32 (shifts, t): first cell of each window
-    shares: A  # float32 (shifts, t): part of the taxels that lie in each tile
-    counts: A  # int64 (shifts,): number of tiles
+    canvas: P  # uint32: place in the vector of taxels that each cell reads, n for none
+    cells: P  # uint32 (n,): cell of each taxel
+    begins: P2  # uint32 (shifts, t): first cell of each window
+    shares: M  # float32 (shifts, t): part of the taxels that lie in each tile
+    counts: L  # int64 (shifts,): number of tiles
     width: int  # cells of a row
 
 
 class Weights(NamedTuple):
     """Weights of the learned gates, as of `Gates`, their matrices transposed: BLAS copies none."""
 
-    filters: A
-    hidden: A
-    hidden_0: A
-    gates: A
-    gates_0: A
-    synthesis: A
-    error: A
+    filters: M
+    hidden: M
+    hidden_0: V
+    gates: M
+    gates_0: V
+    synthesis: M
+    error: V
     error_0: float
 
 
@@ -210,7 +244,7 @@ class Denoiser(NamedTuple):
 
     weights: Weights
     limits: Limits
-    scratch: A  # as of `step_scratch`
+    scratch: V  # as of `step_scratch`
     has_gates: int  # 0: all steps are by the formula
 
 
@@ -306,39 +340,6 @@ class NoiseCurve(NamedTuple):
     clipped_below: float  # force, in deviations, from which noise is not clipped
 
 
-def group(kind: Any, *fields: Any) -> Any:
-    """The type of a NamedTuple with fields of these types."""
-    tuples: Any = types.BaseTuple
-    return tuples.from_types(fields, kind)
-
-
-TRANSFORM = group(Transform, G, V)
-MEASURED = group(Measured, L, *(10 * [V]))
-RECEIVED = group(Received, L, V, V, L, int64, V)
-DOUBT_CONSTANTS = group(DoubtConstants, *(3 * [float64]))
-ESTIMATE = group(Estimate, V, V, V)
-PREDICTION = group(Prediction, V, V)
-SLOPES = group(Slopes, M, M)
-FILTERS = group(Filters, V, V, V, D)
-TARGETS = group(Targets, V, V)
-ITERATES = group(Iterates, V, V, V)
-TILE_MAPS = group(TileMaps, P, P, P2, M, L, int64)
-WEIGHTS = group(Weights, M, M, V, M, V, M, V, float64)
-LIMITS = group(Limits, *(8 * [float64]))
-DENOISER = group(Denoiser, WEIGHTS, LIMITS, V, int64)
-MOTION_WEIGHTS = group(MotionWeights, *(4 * [float64]))
-VARIANCES = group(Variances, *(4 * [float64]))
-FILTER_CONSTANTS = group(FilterConstants, *(8 * [float64]))
-PLAN = group(Plan, *(6 * [int64]), float64, float64)
-STEP_CONSTANTS = group(StepConstants, *(7 * [float64]), *(3 * [int64]))
-STEP_INPUTS = group(
-    *(StepInputs, TRANSFORM, PREDICTION, TARGETS, ITERATES),
-    *(TILE_MAPS, DENOISER, STEP_CONSTANTS),
-)
-BLEND_NUMBERS = group(BlendNumbers, *(4 * [float64]))
-NOISE_CURVE = group(NoiseCurve, *(7 * [float64]))
-
-
 @compiled()
 def hadamard(v: A, groups: A) -> None:
     """Transform a dealt vector in place: each block by its matrix of +1 and -1."""
@@ -366,6 +367,7 @@ def hadamard(v: A, groups: A) -> None:
                     d[k] = off_ab - off_cd
             run *= 4
 
+        # A stage is left where their number is odd.
         if run < length:
             a = v[start : start + run]
             b = v[start + run : start + 2 * run]
@@ -388,31 +390,31 @@ def haar(v: A, n_rows: int, n_cols: int, half: A) -> None:
         half_rows = (rows + 1) // 2
         half_cols = (cols + 1) // 2
 
-        # Along columns, to scratch.
+        # Along columns, to scratch: in place a sum would replace what its difference needs.
         for i in range(rows // 2):
-            a = v[2 * i * n_cols :][:cols]
-            b = v[(2 * i + 1) * n_cols :][:cols]
-            s = half[i * n_cols :][:cols]
-            d = half[(half_rows + i) * n_cols :][:cols]
+            upper = v[2 * i * n_cols :][:cols]
+            lower = v[(2 * i + 1) * n_cols :][:cols]
+            sums = half[i * n_cols :][:cols]
+            details = half[(half_rows + i) * n_cols :][:cols]
             for j in range(cols):
-                s[j] = a[j] + b[j]
-                d[j] = a[j] - b[j]
+                sums[j] = upper[j] + lower[j]
+                details[j] = upper[j] - lower[j]
         if rows % 2:
-            a = v[(rows - 1) * n_cols :][:cols]
-            s = half[(half_rows - 1) * n_cols :][:cols]
+            upper = v[(rows - 1) * n_cols :][:cols]
+            sums = half[(half_rows - 1) * n_cols :][:cols]
             for j in range(cols):
-                s[j] = _ROOT_2 * a[j]
+                sums[j] = _ROOT_2 * upper[j]
 
         # Along rows, and back.
         for i in range(rows):
-            a = half[i * n_cols :][:cols]
-            s = v[i * n_cols :][:cols]
-            d = s[half_cols:]
-            for j in range(d.size):
-                s[j] = a[2 * j] + a[2 * j + 1]
-                d[j] = a[2 * j] - a[2 * j + 1]
+            upper = half[i * n_cols :][:cols]
+            sums = v[i * n_cols :][:cols]
+            details = sums[half_cols:]
+            for j in range(details.size):
+                sums[j] = upper[2 * j] + upper[2 * j + 1]
+                details[j] = upper[2 * j] - upper[2 * j + 1]
             if cols % 2:
-                s[half_cols - 1] = _ROOT_2 * a[cols - 1]
+                sums[half_cols - 1] = _ROOT_2 * upper[cols - 1]
 
         rows = half_rows
         cols = half_cols
@@ -425,6 +427,7 @@ def haar_transposed(v: A, n_rows: int, n_cols: int, half: A) -> None:
     while (n_rows - 1) >> depth or (n_cols - 1) >> depth:
         depth += 1
 
+    # The levels and axes of `haar`, the last one first.
     for level in range(depth - 1, -1, -1):
         # Sides at a level: n / 2^level, rounded up.
         rows = ((n_rows - 1) >> level) + 1
@@ -433,34 +436,34 @@ def haar_transposed(v: A, n_rows: int, n_cols: int, half: A) -> None:
         half_cols = (cols + 1) // 2
 
         for i in range(rows):
-            a = half[i * n_cols :][:cols]
-            s = v[i * n_cols :][:cols]
-            d = s[half_cols:]
-            for j in range(d.size):
-                a[2 * j] = s[j] + d[j]
-                a[2 * j + 1] = s[j] - d[j]
+            upper = half[i * n_cols :][:cols]
+            sums = v[i * n_cols :][:cols]
+            details = sums[half_cols:]
+            for j in range(details.size):
+                upper[2 * j] = sums[j] + details[j]
+                upper[2 * j + 1] = sums[j] - details[j]
             if cols % 2:
-                a[cols - 1] = _ROOT_2 * s[half_cols - 1]
+                upper[cols - 1] = _ROOT_2 * sums[half_cols - 1]
 
         for i in range(rows // 2):
-            a = v[2 * i * n_cols :][:cols]
-            b = v[(2 * i + 1) * n_cols :][:cols]
-            s = half[i * n_cols :][:cols]
-            d = half[(half_rows + i) * n_cols :][:cols]
+            upper = v[2 * i * n_cols :][:cols]
+            lower = v[(2 * i + 1) * n_cols :][:cols]
+            sums = half[i * n_cols :][:cols]
+            details = half[(half_rows + i) * n_cols :][:cols]
             for j in range(cols):
-                a[j] = s[j] + d[j]
-                b[j] = s[j] - d[j]
+                upper[j] = sums[j] + details[j]
+                lower[j] = sums[j] - details[j]
         if rows % 2:
-            a = v[(rows - 1) * n_cols :][:cols]
-            s = half[(half_rows - 1) * n_cols :][:cols]
+            upper = v[(rows - 1) * n_cols :][:cols]
+            sums = half[(half_rows - 1) * n_cols :][:cols]
             for j in range(cols):
-                a[j] = _ROOT_2 * s[j]
+                upper[j] = _ROOT_2 * sums[j]
 
 
-@compiled(void(V, V, V, V, V, V, V, P, V, V, G, L, V))
+@entry()
 def fista(
-    theta: A, before: A, betas: A, weights2: A, threshold: A, z: A, v: A, deal: A, keep: A,
-    measured: A, groups: A, grid: A, half: A,
+    theta: V, before: V, betas: V, weights2: V, threshold: V, z: V, v: V, deal: P, keep: V,
+    measured: V, groups: G, grid: L, half: V,
 ) -> None:  # fmt: skip
     """Iterations of FISTA, one for each of betas; the two thetas alternate, the first is newest."""
     for beta in betas:
@@ -468,7 +471,7 @@ def fista(
         for k in range(z.size):
             z[k] = theta[k] + beta * (theta[k] - before[k])
 
-        # From coefficients to rows, of which those read become their measurements, and back.
+        # The gradient step: rows that are read become their measurements, others stay.
         haar_transposed(z, grid[0], grid[1], half)
         for p in range(deal.size):
             v[p] = z[deal[p]]
@@ -487,8 +490,8 @@ def fista(
         theta, before = before, theta
 
 
-@compiled(void(V, L, V))
-def haar_image(v: A, grid: A, half: A) -> None:
+@entry()
+def haar_image(v: V, grid: L, half: V) -> None:
     """Replace Haar coefficients, of the scale of `haar`, by their image."""
     haar_transposed(v, grid[0], grid[1], half)
 
@@ -514,13 +517,14 @@ def sum_bands(image: A, begin: Any, width: int, n_columns: Any, bands: A) -> Non
 
 
 @compiled()
-def standing_out(bands: A, n_columns: Any, column: Any, limits: A) -> Any:
+def standing_out(bands: A, n_columns: Any, column: Any, limits: Limits) -> Any:
     """Part of the window of 12 x 12 that begins at a column of `sum_bands`, as in `gates`."""
     of_thirds = _0
     of_sixths = _0
     whole = _0
     left_half = _0
     right_half = _0
+    # Each square once, by all four sizes: windows without a contact are most of all.
     for band in range(4):
         sums = bands[band * n_columns + column :][:12]
 
@@ -544,60 +548,68 @@ def standing_out(bands: A, n_columns: Any, column: Any, limits: A) -> Any:
     peaks = bands[4 * n_columns + column :][:12]
     for j in range(12):
         highest = max(highest, peaks[j])
-    excess = max(highest / limits.single, of_thirds / (3 * limits.by_3))
+
+    # A sum of k values of noise has sqrt(k) times their deviation: 3, 6 and 12.
+    excess: Any = max(highest / limits.single, of_thirds / (3 * limits.by_3))
     excess = max(excess, of_sixths / (6 * limits.by_6))
     excess = max(excess, whole / (12 * limits.whole))
     return np.float32(min(max((excess - 1) / (limits.clearly - 1), 0.0), 1.0))
 
 
 @compiled(sums_in_any_order=True)
-def haar_shrink(w: A, limits: A, s: A, d: A) -> None:
+def haar_shrink(w: A, limits: Limits, sums: A, details: A) -> None:
     """Shrink the tiles of windows (t, 144), as in `formula`.
 
-    Columns of s and d are tiles. s holds the taxels, and their sums at each level: its first 64
-    rows are the result. d holds the details; its row 64 becomes the expected squared error.
+    Columns of sums and details are tiles. sums holds the taxels, and their sums at each level: its
+    first 64 rows are the result. Row 64 of details becomes the expected squared error.
     """
     strict = np.float32(limits.strict)
     least = np.float32(limits.least)
     quiet = np.float32(limits.quiet)
     n_tiles = w.shape[0]
+    # A tile is the middle of its window of 12 x 12.
     for p in range(64):
         for t in range(n_tiles):
-            s[p, t] = w[t, 12 * (p // 8 + 2) + p % 8 + 2]
-    error = d[64][:n_tiles]
+            sums[p, t] = w[t, 12 * (p // 8 + 2) + p % 8 + 2]
+    error = details[64][:n_tiles]
     for t in range(n_tiles):
         error[t] = _0
 
-    # Details of each level, shrunk, and the sums that the next level is made of.
+    # Details of each level, shrunk, and the sums that the next level is made of. The error is
+    # Stein's unbiased estimate: what is removed, and twice the divergence of the shrinkage.
     begin = 0
     place = 0
     n = 8
     while n > 1:
         for k in range(n * n // 4):
-            at = begin + 2 * (k // (n // 2)) * n + 2 * (k % (n // 2))
-            a = s[at]
-            b = s[at + 1]
-            c = s[at + n]
-            e = s[at + n + 1]
-            total = s[begin + n * n + k]
-            x = d[place]
-            y = d[place + 1]
-            z = d[place + 2]
+            corner = begin + 2 * (k // (n // 2)) * n + 2 * (k % (n // 2))
+            top_left = sums[corner]
+            top_right = sums[corner + 1]
+            bottom_left = sums[corner + n]
+            bottom_right = sums[corner + n + 1]
+            total = sums[begin + n * n + k]
+            row_details = details[place]
+            col_details = details[place + 1]
+            diagonal_details = details[place + 2]
             for t in range(n_tiles):
-                up = a[t] + b[t]
-                down = c[t] + e[t]
-                off_up = a[t] - b[t]
-                off_down = c[t] - e[t]
-                total[t] = _HALF * (up + down)
-                u = _HALF * (up - down)
-                v = _HALF * (off_up + off_down)
-                q = _HALF * (off_up - off_down)
-                energy = u * u + v * v + q * q
+                top = top_left[t] + top_right[t]
+                bottom = bottom_left[t] + bottom_right[t]
+                off_top = top_left[t] - top_right[t]
+                off_bottom = bottom_left[t] - bottom_right[t]
+                total[t] = _HALF * (top + bottom)
+                along_rows = _HALF * (top - bottom)
+                along_cols = _HALF * (off_top + off_bottom)
+                diagonal = _HALF * (off_top - off_bottom)
+                energy = (
+                    along_rows * along_rows
+                    + along_cols * along_cols
+                    + diagonal * diagonal
+                )
                 ratio = _3 * strict / (energy + least)
                 gain = _1 / (_1 + ratio * ratio)
-                x[t] = gain * u
-                y[t] = gain * v
-                z[t] = gain * q
+                row_details[t] = gain * along_rows
+                col_details[t] = gain * along_cols
+                diagonal_details[t] = gain * diagonal
                 loss = _1 - gain
                 error[t] += loss * loss * energy + (gain + gain) * (_3 + _4 * loss)
             place += 3
@@ -605,7 +617,7 @@ def haar_shrink(w: A, limits: A, s: A, d: A) -> None:
         n //= 2
 
     # The mean is a group of its own.
-    mean = s[84]
+    mean = sums[84]
     for t in range(n_tiles):
         energy = mean[t] * mean[t]
         ratio = strict / (energy + least)
@@ -621,28 +633,28 @@ def haar_shrink(w: A, limits: A, s: A, d: A) -> None:
         begin -= n * n
         place -= 3 * n * n // 4
         for k in range(n * n // 4):
-            at = begin + 2 * (k // (n // 2)) * n + 2 * (k % (n // 2))
-            a = s[at]
-            b = s[at + 1]
-            c = s[at + n]
-            e = s[at + n + 1]
-            total = s[begin + n * n + k]
-            x = d[place + 3 * k]
-            y = d[place + 3 * k + 1]
-            z = d[place + 3 * k + 2]
+            corner = begin + 2 * (k // (n // 2)) * n + 2 * (k % (n // 2))
+            top_left = sums[corner]
+            top_right = sums[corner + 1]
+            bottom_left = sums[corner + n]
+            bottom_right = sums[corner + n + 1]
+            total = sums[begin + n * n + k]
+            row_details = details[place + 3 * k]
+            col_details = details[place + 3 * k + 1]
+            diagonal_details = details[place + 3 * k + 2]
             for t in range(n_tiles):
-                up = total[t] + x[t]
-                down = total[t] - x[t]
-                off_up = y[t] + z[t]
-                off_down = y[t] - z[t]
-                a[t] = _HALF * (up + off_up)
-                b[t] = _HALF * (up - off_up)
-                c[t] = _HALF * (down + off_down)
-                e[t] = _HALF * (down - off_down)
+                top = total[t] + row_details[t]
+                bottom = total[t] - row_details[t]
+                off_top = col_details[t] + diagonal_details[t]
+                off_bottom = col_details[t] - diagonal_details[t]
+                top_left[t] = _HALF * (top + off_top)
+                top_right[t] = _HALF * (top - off_top)
+                bottom_left[t] = _HALF * (bottom + off_bottom)
+                bottom_right[t] = _HALF * (bottom - off_bottom)
 
 
-@compiled(void(V, G, V))
-def orthonormal(v: A, groups: A, scale: A) -> None:
+@entry()
+def orthonormal(v: V, groups: G, scale: V) -> None:
     """Transform a dealt vector in place by W = W^T, orthonormal; scale: that of each place."""
     hadamard(v, groups)
     for p in range(scale.size):
@@ -650,7 +662,9 @@ def orthonormal(v: A, groups: A, scale: A) -> None:
 
 
 @compiled(sums_in_any_order=True)
-def compare(y: A, received: A, bias: Any, values: A) -> tuple[float, float, float]:
+def compare(
+    y: A, received: Received, bias: Any, values: A
+) -> tuple[float, float, float]:
     """Set values to measurements y in the order of the rows read, less the bias. Return their sum
     of squares, the largest one and the largest change since the last ones.
     """
@@ -671,7 +685,11 @@ def compare(y: A, received: A, bias: Any, values: A) -> tuple[float, float, floa
 
 @compiled(sums_in_any_order=True)
 def doubt_values(
-    received: A, measured: A, x_rows: A, noise: float, constants: A
+    received: Received,
+    measured: Measured,
+    x_rows: A,
+    noise: float,
+    constants: DoubtConstants,
 ) -> None:
     """Set doubt and excess of the values, as in `FrameVectors`."""
     read = measured.read
@@ -681,6 +699,7 @@ def doubt_values(
     # The last place, -1, is of the values that are not compared.
     count = np.zeros(n_blocks + 1)
     total = np.zeros(n_blocks + 1)
+    # Of each block the two largest squares: a second outlier must not excuse the first.
     largest = np.zeros(n_blocks + 1)
     second = np.zeros(n_blocks + 1)
     squares = np.empty(read.size)
@@ -700,6 +719,7 @@ def doubt_values(
         square = squares[i]
         largest_other = second[number] if square == largest[number] else largest[number]
         others = (total[number] - square - largest_other) * per_other[number]
+        # Of a value that is not compared any square is expected: it is not doubted.
         expected[i] = others + noise if number >= 0 else np.inf
 
     # A loop without choices: its quotients are computed several at once.
@@ -714,14 +734,13 @@ def doubt_values(
         power = ratio * ratio * ratio * ratio
         doubted = max(power / (1 + power), np.float64(faulty[i]))
         doubt[i] = doubted
-        excess[i] = (
-            doubted * squares[i] / (np.float64(_1 - np.float32(doubted)) + certain)
-        )
+        believed = np.float64(_1 - np.float32(doubted)) + certain
+        excess[i] = doubted * squares[i] / believed
 
 
 @compiled(sums_in_any_order=True)
 def motion_sums(
-    measured: A, estimate: A, by_down: A, by_across: A
+    measured: Measured, estimate: Estimate, by_down: A, by_across: A
 ) -> tuple[float, ...]:
     """Sums of `MotionSums` over the rows read: the products of its terms a, b and c, and those of
     each term and what the values exceed W x by.
@@ -752,24 +771,18 @@ def motion_sums(
     return aa, ab, ac, bb, bc, cc, a_change, b_change, c_change
 
 
-@compiled(
-    (
-        *(V, RECEIVED, float64, float64, DOUBT_CONSTANTS),
-        *(MEASURED, ESTIMATE, P2, TRANSFORM, SLOPES),
-    ),
-    sums_in_any_order=True,
-)
+@entry(sums_in_any_order=True)
 def skin_begin(
-    y: A,
-    received: A,
+    y: V,
+    received: Received,
     bias: float,
     noise: float,
-    constants: A,
-    measured: A,
-    estimate: A,
-    neighbours: A,
-    transform: A,
-    slopes: A,
+    constants: DoubtConstants,
+    measured: Measured,
+    estimate: Estimate,
+    neighbours: P2,
+    transform: Transform,
+    slopes: Slopes,
 ) -> tuple[float, ...]:
     """Begin a frame of measurements y, as in `FrameVectors`. Set the values of the rows read and
     the slopes of the last estimate. Return the numbers of `Comparison` and the sums of
@@ -808,7 +821,9 @@ def skin_begin(
 
 
 @compiled(sums_in_any_order=True)
-def confirmed_part(sums: A, motion: A, unexpected: A, constants: A) -> Any:
+def confirmed_part(
+    sums: A, motion: A, unexpected: A, constants: FilterConstants
+) -> Any:
     """As `ConfirmedMotion.follow`; sums are its two."""
     energy = 0.0
     for i in range(motion.size):
@@ -817,6 +832,7 @@ def confirmed_part(sums: A, motion: A, unexpected: A, constants: A) -> Any:
 
     products = 0.0
     squares = 0.0
+    # A row counts less the more it moves beyond the others: sums of blocks are wrong together.
     for i in range(motion.size):
         weighted = motion[i] * (mean_square / (mean_square + motion[i] * motion[i]))
         products += np.float64(weighted * unexpected[i])
@@ -830,7 +846,12 @@ def confirmed_part(sums: A, motion: A, unexpected: A, constants: A) -> Any:
 
 @compiled(sums_in_any_order=True)
 def move_means(
-    measured: A, estimate: A, prediction: A, filters: A, growth: Any, constants: A
+    measured: Measured,
+    estimate: Estimate,
+    prediction: Prediction,
+    filters: Filters,
+    growth: Any,
+    constants: FilterConstants,
 ) -> None:
     """Move the means of the filters as the prediction moves, so far as their rows confirm it."""
     read = measured.read
@@ -845,6 +866,7 @@ def move_means(
     grown = np.zeros(read.size, np.float32)
     translated = np.zeros(read.size, np.float32)
     unexpected = np.zeros(read.size, np.float32)
+    # Rows that were never read have no mean that their values could confirm: they stay 0.
     for i in range(read.size):
         r = read[i]
         if variance[r] + change[r] < unknown:
@@ -862,7 +884,9 @@ def move_means(
 
 
 @compiled(sums_in_any_order=True)
-def filter_sums(measured: A, filters: A, unknown: float) -> tuple[int, float, float]:
+def filter_sums(
+    measured: Measured, filters: Filters, unknown: float
+) -> tuple[int, float, float]:
     """Number of the rows read that are known, and the sums of squared innovation and variance of
     their filters.
     """
@@ -887,28 +911,16 @@ def filter_sums(measured: A, filters: A, unknown: float) -> tuple[int, float, fl
     return n_known, filter_squares, filter_variances
 
 
-@compiled(
-    (
-        ESTIMATE,
-        MOTION_WEIGHTS,
-        SLOPES,
-        TRANSFORM,
-        MEASURED,
-        PREDICTION,
-        FILTERS,
-        FILTER_CONSTANTS,
-    ),
-    sums_in_any_order=True,
-)
+@entry(sums_in_any_order=True)
 def skin_predict(
-    estimate: A,
-    motion: A,
-    slopes: A,
-    transform: A,
-    measured: A,
-    prediction: A,
-    filters: A,
-    constants: A,
+    estimate: Estimate,
+    motion: MotionWeights,
+    slopes: Slopes,
+    transform: Transform,
+    measured: Measured,
+    prediction: Prediction,
+    filters: Filters,
+    constants: FilterConstants,
 ) -> tuple[float, float, float, float, int, float, float]:
     """Predict a frame, as in `FrameVectors`, and move the means of the filters with it. Return the
     sums of `Innovation`, in its order.
@@ -964,7 +976,12 @@ def of_dependent(variance: A, prior: A, doubt: A, bound: A) -> Any:
 
 @compiled(sums_in_any_order=True)
 def follow_recall(
-    recall: A, measured: A, correction: A, filters: A, variances: A, constants: A
+    recall: A,
+    measured: Measured,
+    correction: A,
+    filters: Filters,
+    variances: Variances,
+    constants: FilterConstants,
 ) -> Any:
     """As `Recall.follow`; recall are its three sums, correction is that of all rows."""
     read = measured.read
@@ -988,6 +1005,7 @@ def follow_recall(
     recall[0] += products
     recall[1] += squares
     recall[2] += n_known
+    # While little is known of it, the correction is used: the ridge draws the part to 1.
     ridge = constants.recall_ridge * variances.noise * recall[2]
     part = (recall[0] + ridge) / (recall[1] + ridge + TINY)
     return np.float32(min(max(part, 0.0), constants.most_recalled))
@@ -1001,6 +1019,7 @@ def raise_all(numbers: A, exponent: Any, factor: Any) -> None:
     A number is sqrt(2) 2^k (1 + q) / (1 - q), with abs(q) < 0.172. What comes of 2^k is in a table,
     by the bits of k; the rest is exp(2 exponent artanh(q)).
     """
+    # By the 8 bits of a float32's exponent, 127 for 1; no number here is above that.
     per_binade = np.exp2(np.float64(exponent))
     of_binade = np.empty(256, np.float32)
     power = np.float64(factor) * np.sqrt(per_binade)
@@ -1017,6 +1036,7 @@ def raise_all(numbers: A, exponent: Any, factor: Any) -> None:
         factors[p] = of_binade[bits[p] >> _N_MANTISSA]
         bits[p] = bits[p] & _MANTISSA | _BITS_OF_1
 
+    # Power series, nested so that no term is computed twice.
     double = np.float32(2 * exponent)
     for p in range(numbers.size):
         q = (numbers[p] - _ROOT_2) / (numbers[p] + _ROOT_2)
@@ -1033,13 +1053,13 @@ def raise_all(numbers: A, exponent: Any, factor: Any) -> None:
 
 @compiled(sums_in_any_order=True)
 def set_targets(
-    measured: A,
-    prediction: A,
-    filters: A,
-    targets: A,
+    measured: Measured,
+    prediction: Prediction,
+    filters: Filters,
+    targets: Targets,
     recall: A,
-    variances: A,
-    constants: A,
+    variances: Variances,
+    constants: FilterConstants,
 ) -> None:
     """Combine the prediction and the filter of each row, by their precisions."""
     mean = filters.mean
@@ -1057,7 +1077,7 @@ def set_targets(
     for p in range(n):
         change[p] = min(change[p] + new_change, unknown)
 
-    # For now the part of the variance that the filter leaves, and its correction. A quotient and
+    # The target is first the gain of the filter's correction, then that correction. A quotient and
     # a product in one loop could be computed in another order, and overflow.
     for p in range(n):
         of_filter = variance[p] + of_dependent(change[p], factor, doubt, unknown)
@@ -1066,6 +1086,8 @@ def set_targets(
     for p in range(n):
         target[p] *= mean[p] - predicted_rows[p]
 
+    # Between the variances without the filter and with it, by their logarithms: see
+    # `FrameVectors`.
     recalled = follow_recall(recall, measured, target, filters, variances, constants)
     raise_all(target_variance, recalled, prior)
     for p in range(n):
@@ -1073,7 +1095,9 @@ def set_targets(
 
 
 @compiled(sums_in_any_order=True)
-def read_values(measured: A, filters: A, targets: A, variances: A) -> Any:
+def read_values(
+    measured: Measured, filters: Filters, targets: Targets, variances: Variances
+) -> Any:
     """Update the targets and the filters of the rows read by their values. Return the mean variance
     of these targets.
     """
@@ -1086,6 +1110,7 @@ def read_values(measured: A, filters: A, targets: A, variances: A) -> Any:
     target_variance = targets.variance
     of_read = measured.target_variance
     own = measured.own
+    # A value that is doubted has a larger variance, and a smaller gain.
     noise_of_all = np.float32(variances.noise)
     floor = np.float32(variances.floor)
     total = 0.0
@@ -1114,18 +1139,15 @@ def read_values(measured: A, filters: A, targets: A, variances: A) -> Any:
     return total / read.size
 
 
-@compiled(
-    (MEASURED, PREDICTION, FILTERS, TARGETS, D, VARIANCES, FILTER_CONSTANTS),
-    sums_in_any_order=True,
-)
+@entry(sums_in_any_order=True)
 def skin_filter(
-    measured: A,
-    prediction: A,
-    filters: A,
-    targets: A,
-    recall: A,
-    variances: A,
-    constants: A,
+    measured: Measured,
+    prediction: Prediction,
+    filters: Filters,
+    targets: Targets,
+    recall: D,
+    variances: Variances,
+    constants: FilterConstants,
 ) -> tuple[float, int]:
     """Filter all rows, as in `FrameVectors`. Return the mean variance of the targets of the rows
     read, and the number of the rows that were read so far.
@@ -1154,7 +1176,7 @@ def matrix_of(scratch: A, begin: int, n_rows: int, n_columns: int) -> Any:
 
 
 @compiled()
-def step_scratch(denoiser: A, tiles: A, n: int) -> Any:
+def step_scratch(denoiser: Denoiser, tiles: TileMaps, n: int) -> Any:
     """Cut the scratch of a step out of one array: of many, each call would have to check each."""
     flat = denoiser.scratch
     k = denoiser.weights.filters.shape[1]
@@ -1192,7 +1214,7 @@ def step_scratch(denoiser: A, tiles: A, n: int) -> Any:
 
 @compiled(sums_in_any_order=True)
 def target_residual(
-    z: A, transform: A, measured: A, targets: A, off: A, v: A
+    z: A, transform: Transform, measured: Measured, targets: Targets, off: A, v: A
 ) -> tuple[float, float]:
     """Set `off` to what the targets exceed W z by. Return the mean squares of it and of the
     residual of z, of the rows read, which is kept; v is scratch.
@@ -1221,7 +1243,7 @@ def target_residual(
 
 @compiled(sums_in_any_order=True)
 def linear_estimate(
-    z: A, transform: A, targets: A, tau: Any, floor: float, u: A, v: A
+    z: A, transform: Transform, targets: Targets, tau: Any, floor: float, u: A, v: A
 ) -> tuple[Any, Any]:
     """Replace u, which is what the targets exceed W z by, by the truth and noise; set v to u in
     units of the deviation of this noise. Return it, and the factor of the weights.
@@ -1237,6 +1259,7 @@ def linear_estimate(
     mean_weight /= n
     hadamard(v[:n], transform.groups)
 
+    # Divided by the mean weight, u has the whole truth, and noise of variance s2.
     s2 = tau * max(1 - mean_weight, 0.0) / mean_weight + floor
     s = np.float32(np.sqrt(s2))
     per_weight = np.float32(1 / mean_weight)
@@ -1248,7 +1271,7 @@ def linear_estimate(
 
 
 @compiled(sums_in_any_order=True)
-def add_own(measured: A, tau: Any, factor: Any, part: Any) -> None:
+def add_own(measured: Measured, tau: Any, factor: Any, part: Any) -> None:
     """Move the mean of what the rows read add to their own values by a part towards that of a step:
     `factor` times their weights times what their targets exceed W z by.
     """
@@ -1262,7 +1285,9 @@ def add_own(measured: A, tau: Any, factor: Any, part: Any) -> None:
 
 
 @compiled(sums_in_any_order=True)
-def busy_windows(tiles: A, shift: int, limits: A, scratch: A) -> tuple[int, float]:
+def busy_windows(
+    tiles: TileMaps, shift: int, limits: Limits, scratch: StepScratch
+) -> tuple[int, float]:
     """Copy the windows of scratch.v in which something stands out to scratch.w. Return their
     number, and the expected squared error of the others.
     """
@@ -1285,13 +1310,14 @@ def busy_windows(tiles: A, shift: int, limits: A, scratch: A) -> tuple[int, floa
     expected = 0.0
     first = 0
     while first < n_tiles:
+        # Tiles that lie beside each other, 8 cells apart, share the sums of their columns.
         row = np.int64(begins[first])
+        last_begin = row
         stop = first + 1
-        while (
-            stop < n_tiles and np.int64(begins[stop]) - np.int64(begins[stop - 1]) == 8
-        ):
+        while stop < n_tiles and np.int64(begins[stop]) - last_begin == 8:
+            last_begin = np.int64(begins[stop])
             stop += 1
-        n_columns = np.int64(begins[stop - 1]) - row + 12
+        n_columns = last_begin - row + 12
         sum_bands(image, row, width, n_columns, bands)
         for tile in range(first, stop):
             begin = np.int64(begins[tile])
@@ -1312,7 +1338,12 @@ def busy_windows(tiles: A, shift: int, limits: A, scratch: A) -> tuple[int, floa
 
 @compiled(sums_in_any_order=True)
 def shrink_tiles(
-    tiles: A, shift: int, limits: A, scratch: A, n_busy: int, s: Any
+    tiles: TileMaps,
+    shift: int,
+    limits: Limits,
+    scratch: StepScratch,
+    n_busy: int,
+    s: Any,
 ) -> Any:
     """Denoise the busy windows by `haar_shrink`, into scratch.denoised, times s. Return the
     expected squared error of their taxels, in those of the skin.
@@ -1331,6 +1362,7 @@ def shrink_tiles(
     for b in range(n_busy):
         error = np.float64(details[64, b])
         expected += shares[busy[b]] * (limits.quiet + parts[b] * (error - limits.quiet))
+        # Only the middle of a window is denoised: its margin is two cells wide.
         begin = begins[busy[b]] + 2 * width + 2
         for i in range(8):
             for j in range(8):
@@ -1341,7 +1373,7 @@ def shrink_tiles(
 
 
 @compiled(sums_in_any_order=True)
-def hidden_units(weights: A, scratch: A, n_busy: int) -> None:
+def hidden_units(weights: Weights, scratch: StepScratch, n_busy: int) -> None:
     """Set the filtered windows, a, and the hidden units, h, of the busy windows."""
     a = scratch.a[:n_busy]
     levels = scratch.levels[:n_busy]
@@ -1351,9 +1383,8 @@ def hidden_units(weights: A, scratch: A, n_busy: int) -> None:
     for b in range(n_busy):
         of_window = a[b]
         sizes = levels[b, k:]
-        for j in range(
-            sizes.size
-        ):  # without a choice, so that its roots become vectors
+        # A loop without choices: its roots are computed several at once.
+        for j in range(sizes.size):
             sizes[j] = _4 * (np.sqrt(np.sqrt(_1 + abs(of_window[j]))) - _1)
         for j in range(k):
             levels[b, j] = sizes[j] if of_window[j] >= 0 else -sizes[j]
@@ -1367,7 +1398,13 @@ def hidden_units(weights: A, scratch: A, n_busy: int) -> None:
 
 @compiled(sums_in_any_order=True)
 def gate_tiles(
-    tiles: A, shift: int, weights: A, limits: A, scratch: A, n_busy: int, s: Any
+    tiles: TileMaps,
+    shift: int,
+    weights: Weights,
+    limits: Limits,
+    scratch: StepScratch,
+    n_busy: int,
+    s: Any,
 ) -> Any:
     """As `shrink_tiles`, by the learned gates."""
     quiet = limits.quiet
@@ -1393,6 +1430,7 @@ def gate_tiles(
         error2 = np.exp(min(max(log_error, -12.0), 0.0))
         expected += shares[busy[b]] * (quiet + parts[b] * (error2 - quiet))
 
+        # What passes as it is needs no coefficients: the gates are those of the rest.
         passed = min(max(g[b, k] + gates_0[k], _0), _1)
         g[b, k] = passed
         for j in range(k):
@@ -1413,7 +1451,7 @@ def gate_tiles(
 
 
 @compiled(sums_in_any_order=True)
-def move_iterate(iterates: A, x: A, alpha: Any, damping: Any, part: Any) -> None:
+def move_iterate(iterates: Iterates, x: A, alpha: Any, damping: Any, part: Any) -> None:
     """Move z towards the estimate whose errors are not correlated with those of u; move the mean
     of the estimates by a part towards x.
     """
@@ -1427,7 +1465,7 @@ def move_iterate(iterates: A, x: A, alpha: Any, damping: Any, part: Any) -> None
 
 
 @compiled()
-def weight_of(k: int, residual2: float, plan: A, constants: A) -> float:
+def weight_of(k: int, residual2: float, plan: Plan, constants: StepConstants) -> float:
     """Weight of the estimate of step k in their mean, as `FrameVectors._weights_of` without a
     common factor; residual2 is the mean squared residual before the step.
     """
@@ -1440,10 +1478,11 @@ def weight_of(k: int, residual2: float, plan: A, constants: A) -> float:
 
 
 @compiled()
-def steps_for(plan: A, n_busy: int, constants: A) -> Any:
+def steps_for(plan: Plan, n_busy: int, constants: StepConstants) -> Any:
     """As `vectors.steps_for`."""
     if plan.frame_tiles == 0:
         return plan
+    # Few steps by the weights do not converge: some by the formula, which is faster, come first.
     per_step = plan.step_tiles + n_busy
     n_formula = 0
     n = min(plan.frame_tiles // per_step, plan.most)
@@ -1476,7 +1515,12 @@ class StepMeans(NamedTuple):
 
 @compiled(sums_in_any_order=True)
 def skin_step(
-    inputs: A, measured: A, plan: A, scratch: A, k: int, means: StepMeans
+    inputs: StepInputs,
+    measured: Measured,
+    plan: Plan,
+    scratch: StepScratch,
+    k: int,
+    means: StepMeans,
 ) -> tuple[StepMeans, Any, int]:
     """Step k, as in `FrameVectors`: z becomes the next, and its estimate is added to their mean.
     Return the means with this step, the plan, which the first one chooses, and the number of tiles
@@ -1501,6 +1545,7 @@ def skin_step(
         z, inputs.transform, inputs.targets, tau, plan.floor, u, v
     )
 
+    # Tiles in which nothing stands out have no force.
     denoised = scratch.denoised
     for q in range(denoised.size):
         denoised[q] = _0
@@ -1534,8 +1579,10 @@ def skin_step(
     return means, plan, n_busy
 
 
-@compiled((STEP_INPUTS, MEASURED, PLAN), sums_in_any_order=True)
-def skin_steps(inputs: A, measured: A, plan: A) -> tuple[float, float, int, int, int]:
+@entry(sums_in_any_order=True)
+def skin_steps(
+    inputs: StepInputs, measured: Measured, plan: Plan
+) -> tuple[float, float, int, int, int]:
     """The steps of a frame from its prediction, which set the mean of the estimates. Return the
     same means of the expected squared error and of the squared residual before the step; the
     numbers of steps by the formula and by the weights, and of tiles that counted in all of them.
@@ -1566,7 +1613,7 @@ def skin_steps(inputs: A, measured: A, plan: A) -> tuple[float, float, int, int,
 
 
 @compiled(sums_in_any_order=True)
-def settle_forces(x: A, blend: A, forces: A) -> tuple[float, float]:
+def settle_forces(x: A, blend: BlendNumbers, forces: A) -> tuple[float, float]:
     """Set the forces of an estimate. Return the sum of x over taxels within the noise, and the part
     of the taxels beyond it.
     """
@@ -1597,19 +1644,16 @@ def settle_forces(x: A, blend: A, forces: A) -> tuple[float, float]:
     return np.float64(unpressed), np.float64(pressed) / x.size
 
 
-@compiled(
-    (V, PREDICTION, MEASURED, V, TRANSFORM, ESTIMATE, BLEND_NUMBERS, V),
-    sums_in_any_order=True,
-)
+@entry(sums_in_any_order=True)
 def skin_settle(
-    of_steps: A,
-    prediction: A,
-    measured: A,
-    ones: A,
-    transform: A,
-    estimate: A,
-    blend: A,
-    forces: A,
+    of_steps: V,
+    prediction: Prediction,
+    measured: Measured,
+    ones: V,
+    transform: Transform,
+    estimate: Estimate,
+    blend: BlendNumbers,
+    forces: V,
 ) -> tuple[float, float, float, float, float, float, float, float]:
     """Settle a frame, as in `FrameVectors`; return what it does but for the forces."""
     x = estimate.x
@@ -1642,7 +1686,8 @@ def skin_settle(
         residual2 += residual[i] * residual[i]
         along_ones += ones[i] * residual[i]
 
-    # Residual of the steps in their part of x, without what each row added to its own value.
+    # Residual of the steps in their part of x, without what each row added to its own value: with
+    # it, the residual would understate the error.
     innovation = measured.innovation
     own = measured.own
     left_out2 = 0.0
@@ -1661,8 +1706,8 @@ def skin_settle(
     return np.float64(power / n), *fits, along_ones, unpressed, pressed
 
 
-@compiled((V, NOISE_CURVE), sums_in_any_order=True)
-def skin_variance(forces: A, noise: A) -> Any:
+@entry(sums_in_any_order=True)
+def skin_variance(forces: V, noise: NoiseCurve) -> Any:
     """Mean variance of the readings of forces, as `NoiseModel.variance`."""
     per_force = np.float32(2 / noise.f_max)
     middle = np.float32(noise.sigma_mid)
@@ -1695,7 +1740,7 @@ def root_of(parents: A, k: int) -> int:
 @compiled()
 def label_cells(
     forces: A,
-    low: float,
+    low: Any,
     high: float,
     regions: A,
     index: A,
@@ -1748,7 +1793,7 @@ def number_components(parents: A, is_kept: A, n_labels: int) -> int:
     """Replace the parent of each label by the number of its component, -1 if it is not kept. Return
     the number of components.
     """
-    # A parent has a lower label.
+    # A parent has a lower label: downwards, each mark has come from all labels below.
     for label in range(n_labels - 1, -1, -1):
         is_kept[parents[label]] |= is_kept[label]
 
@@ -1797,14 +1842,14 @@ def component_moments(
             sums[4 + k + d, c] /= sums[0, c] ** 2
 
 
-@compiled((M, float32, float64, V, DM, int32[::1], int64))
+@entry()
 def components(
-    forces: A,
-    low: float,
+    forces: M,
+    low: np.float32,
     high: float,
-    variances: A,
-    places: A,
-    regions: A,
+    variances: V,
+    places: DM,
+    regions: Annotated[Any, int32[::1]],
     n_regions: int,
 ) -> tuple[A, A, A, A, int]:
     """The same as `components` of the module `contacts`, but for rounding, in one scan."""
@@ -1821,6 +1866,7 @@ def components(
     )
     n = number_components(parents, is_kept, n_labels)
 
+    # The cells of components that are kept move to the front of index.
     numbers = np.empty(n_pressed, np.int64)
     overlap = np.zeros((n, n_regions), np.int64)
     n_cells = 0
