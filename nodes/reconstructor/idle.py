@@ -52,26 +52,16 @@ class IdleWatch:
         Skin and noise model of all of them.
     phis : sequence of Phi
         One a row subset.
-    false_alarms : float
-        Probability of an alarm a frame and patch where nothing has changed, all tests together.
     """
 
-    def __init__(
-        self,
-        n_patches: int,
-        skin: SkinState,
-        phis: Sequence[Phi],
-        false_alarms: float = FALSE_ALARMS,
-    ) -> None:
+    def __init__(self, n_patches: int, skin: SkinState, phis: Sequence[Phi]) -> None:
         self._exists = skin.skin.exists
-        self._noise = (
-            NoiseModel(skin.f_max, skin.sigma_mid, skin.sigma_end)
-            if skin.sigma_end
-            else None
-        )
+        self._noise = NoiseModel(skin.f_max, skin.sigma_mid, skin.sigma_end)
         self._subsets = {phi.fingerprint: k for k, phi in enumerate(phis)}
         self._tile_of, n_tiles = _tiles(self._exists)
         self._sizes = np.bincount(self._tile_of, minlength=n_tiles)
+        # What each matrix measures of a force on each tile, with a length of 1; and the variance of
+        # a measurement, in that of the noise of a taxel.
         self._projections = []
         self._energy = []
         for phi in phis:
@@ -81,20 +71,21 @@ class IdleWatch:
             ]
             matrix = np.stack(columns, axis=1)
             norms = np.linalg.norm(matrix, axis=0)
-            self._energy.append(
-                float(np.sum(norms**2) / self._sizes.sum() * phi.n / phi.m)
-            )
-            self._projections.append(
-                matrix / np.where(norms > 0, norms, 1).astype(np.float32)
-            )
-        self._ratio = min(1.0, phis[0].m / phis[0].n)
-        one = NormalDist().inv_cdf
-        self._z_total = one(1 - false_alarms / 3)
-        self._z_tile = one(1 - false_alarms / 6 / n_tiles)
-        s = len(phis)
+            energy = np.sum(norms**2) / self._sizes.sum() * phi.n / phi.m
+            self._energy.append(float(energy))
+            lengths = np.where(norms > 0, norms, 1).astype(np.float32)
+            self._projections.append(matrix / lengths)
+
+        # A third of the false alarms each: the first test has one tail, the others have two.
         m = phis[0].m
-        self._reference = np.zeros((s, n_patches, m), np.float32)
-        self._n = np.zeros((s, n_patches), np.intp)
+        self._ratio = min(1.0, m / phis[0].n)
+        quantile = NormalDist().inv_cdf
+        self._z_total = quantile(1 - FALSE_ALARMS / 3)
+        self._z_tile = quantile(1 - FALSE_ALARMS / 6 / n_tiles)
+
+        # References by row subset and patch, and the number of frames in each.
+        self._reference = np.zeros((len(phis), n_patches, m), np.float32)
+        self._n = np.zeros((len(phis), n_patches), np.intp)
         self._slow = np.zeros((n_patches, n_tiles))
         self._n_slow = np.zeros(n_patches, np.intp)
         self._forces: list[Floats | None] = [None] * n_patches
@@ -103,9 +94,8 @@ class IdleWatch:
         self._spread = np.ones(n_patches)
         self._local = np.ones((n_patches, n_tiles))
         self._struck = np.zeros(n_patches, np.bool_)
-        self._age = (
-            np.arange(n_patches) % REFRESH
-        )  # they are solved in different frames
+        # Patches that are idle together are solved again in different frames.
+        self._age = np.arange(n_patches) % REFRESH
         self.idle = np.zeros(n_patches, np.bool_)
 
     def to_solve(self, fingerprint: str, y: Floats) -> Mask:
@@ -123,7 +113,7 @@ class IdleWatch:
         ndarray of bool, shape (n_patches,)
         """
         subset = self._subsets.get(fingerprint)
-        if subset is None or self._noise is None:
+        if subset is None or not self._noise.sigma_end:
             return np.ones(len(y), np.bool_)
         n = self._n[subset]
         compared = n > 0
@@ -136,18 +126,17 @@ class IdleWatch:
         self._restart(ends)
         learns = ~self.idle & ~self._struck
         if learns.any():
-            step = (y[learns] - self._reference[subset, learns]) / (n[learns] + 1)[
-                :, None
-            ]
-            self._reference[subset, learns] += step
             n[learns] += 1
+            change = y[learns] - self._reference[subset, learns]
+            self._reference[subset, learns] += change / n[learns][:, None]
         self._age += 1
         due = self._age >= REFRESH
         self._age[due] = 0
         solve: Mask = ~self.idle | self._struck | due
-        # The frame that completes the reference is solved, the next one is not.
+        # The frame that completes the reference is solved, the next one is not: its variances are
+        # those of the newest forces.
         complete = learns & (self._n >= REFERENCE).all(axis=0)
-        self._known[complete] = False  # the variances are those of the newest forces
+        self._known[complete] = False
         self.idle |= complete
         return solve
 
@@ -167,46 +156,62 @@ class IdleWatch:
         """True where a test finds a change from the reference of a row subset."""
         for patch in np.flatnonzero(~self._known):
             self._learn_variances(int(patch))
-        n = np.maximum(self._n[subset], 1)
         energy = self._energy[subset]
-        d = y - self._reference[subset]
-        m = d.shape[1]
-        widened = 1 + 1 / n
-        total = np.einsum("pm,pm->p", d, d) / (energy * self._mean * widened)
+        change = y - self._reference[subset]
+        # The noise of a reference adds to that of a frame.
+        widened = 1 + 1 / np.maximum(self._n[subset], 1)
+        squares = np.einsum("pm,pm->p", change, change)
+        differs = self._differs_in_all(squares / (energy * self._mean * widened))
+
+        # Of M of N rows, a projection has the noise of its tile in the part M / N, else of all.
+        z = change @ self._projections[subset]
+        of_tiles = self._ratio * self._local.T + (1 - self._ratio) * self._mean
+        variances = energy * of_tiles.T
+        largest = (z * z / (variances * widened[:, None])).max(axis=1)
+        slow = self._slow_change(subset, z, variances)
+        limit = self._z_tile**2
+        differs |= (largest > limit) | (slow > limit)
+        return differs
+
+    def _differs_in_all(self, chi2: Doubles) -> Mask:
+        """True where the sum of squares of M measurements, in their variance, is too large."""
+        m = self._reference.shape[2]
         # The cube root of a chi-square is nearly normal: Wilson and Hilferty, PNAS 17 (1931).
         dof = m / self._spread
-        normal = (np.cbrt(total / m) - (1 - 2 / (9 * dof))) / np.sqrt(2 / (9 * dof))
-        z = d @ self._projections[subset]
-        variances = (
-            energy * (self._ratio * self._local.T + (1 - self._ratio) * self._mean).T
-        )
-        largest = (z * z / (variances * widened[:, None])).max(axis=1)
+        normal = (np.cbrt(chi2 / m) - (1 - 2 / (9 * dof))) / np.sqrt(2 / (9 * dof))
+        differs: Mask = normal > self._z_total
+        return differs
+
+    def _slow_change(self, subset: int, z: Doubles, variances: Doubles) -> Doubles:
+        """Largest squared exponential mean of the projections of each patch, in its variance."""
         compared = self._n[subset] > 0
         self._n_slow += compared
         n_slow = np.maximum(self._n_slow, 1)
         weight = compared * np.maximum(SLOW, 1 / n_slow)
         self._slow += weight[:, None] * (z - self._slow)
-        # Of the exponential mean and of the references, which is the same in all of its frames.
-        share = np.maximum(SLOW / (2 - SLOW), 1 / n_slow) + 1 / (n * len(self._subsets))
-        slow = (self._slow**2 / (variances * share[:, None])).max(axis=1)
-        limit = self._z_tile**2
-        differs: Mask = (normal > self._z_total) | (largest > limit) | (slow > limit)
-        return differs
+
+        # The noise of the references is the same in all frames: no mean over them makes it less.
+        n_references = np.maximum(self._n[subset], 1) * len(self._subsets)
+        share = np.maximum(SLOW / (2 - SLOW), 1 / n_slow) + 1 / n_references
+        largest: Doubles = (self._slow**2 / (variances * share[:, None])).max(axis=1)
+        return largest
 
     def _learn_variances(self, patch: int) -> None:
         """Variances of the taxels under the last forces of a patch: mean, spread, of tiles."""
-        forces = self._forces[patch]
-        if forces is None or self._noise is None:
+        frame = self._forces[patch]
+        if frame is None:
             return
-        f = forces[self._exists]
-        end = self._noise.sigma_end
+        # Readings near 0 are clipped there, which leaves less noise.
+        forces = frame[self._exists]
+        sigma_end = self._noise.sigma_end
+        unclipped = np.square(self._noise.sigma(forces), dtype=np.float64)
         sigma2: Doubles = np.where(
-            f > end, np.square(self._noise.sigma(f), dtype=np.float64), CLIPPED * end**2
+            forces > sigma_end, unclipped, CLIPPED * sigma_end**2
         )
-        self._mean[patch] = mean = float(sigma2.mean())
-        self._spread[patch] = 1 + self._ratio * (
-            float(np.mean(sigma2**2)) / mean**2 - 1
-        )
+        mean = float(sigma2.mean())
+        excess = float(np.mean(sigma2**2)) / mean**2 - 1
+        self._mean[patch] = mean
+        self._spread[patch] = 1 + self._ratio * excess
         tiles = np.bincount(self._tile_of, weights=sigma2, minlength=len(self._sizes))
         self._local[patch] = tiles / np.maximum(self._sizes, 1)
         self._known[patch] = True
