@@ -1545,7 +1545,6 @@ def skin_step(
         z, inputs.transform, inputs.targets, tau, plan.floor, u, v
     )
 
-    # Tiles in which nothing stands out have no force.
     denoised = scratch.denoised
     for q in range(denoised.size):
         denoised[q] = _0
