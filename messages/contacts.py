@@ -175,21 +175,11 @@ _COLUMNS = {
     "normal": ("x_normal", "y_normal", "z_normal"),
 }
 _SCALARS = (
-    "id",
-    "total",
-    "total_sd",
-    "peak",
-    "area",
-    "age_s",
-    "over",
-    "sliding",
-    "area_mm2",
+    *("id", "total", "total_sd", "peak", "area", "age_s"),
+    *("over", "sliding", "area_mm2", "patch_of"),
 )
-_SIDES: dict[str, tuple[int, ...]] = {
-    **dict.fromkeys((*_SCALARS, "patch_of"), ()),
-    **dict.fromkeys(("centre", "centre_sd", "velocity"), (2,)),
-    **dict.fromkeys(("place_mm", "place_sd_mm", "velocity_mm_s", "normal"), (3,)),
-}
+_SIDES: dict[str, tuple[int, ...]] = dict.fromkeys(_SCALARS, ())
+_SIDES |= {name: (len(columns),) for name, columns in _COLUMNS.items()}
 """Sides of the fields behind the first one, the contacts."""
 
 

@@ -19,12 +19,9 @@ P = ParamSpec("P")
 R = TypeVar("R")
 
 
-def _is_bool(value: object) -> bool:
-    return isinstance(value, bool | np.bool_)
-
-
-def _is_text(value: object) -> bool:
-    return isinstance(value, str)
+def _is_of(*kinds: Any) -> Callable[[Any], bool]:
+    """Test if a value is of one of the types."""
+    return lambda value: isinstance(value, kinds)
 
 
 def _is_list_of_texts(value: Any) -> bool:
@@ -33,18 +30,14 @@ def _is_list_of_texts(value: Any) -> bool:
     return is_list and all(isinstance(item, str) for item in value)
 
 
-def _is_path(value: object) -> bool:
-    return isinstance(value, os.PathLike)
-
-
 _CHECKS: dict[Any, tuple[Callable[[Any], bool], str]] = {
-    str: (_is_text, "a text"),
-    bool: (_is_bool, "True or False"),
+    str: (_is_of(str), "a text"),
+    bool: (_is_of(bool, np.bool_), "True or False"),
     int: (is_whole, "a whole number"),
     float: (is_real, "a finite number"),
     Sequence[str]: (_is_list_of_texts, "a list of texts"),
-    os.PathLike[str]: (_is_path, "a path"),
-    type(None): (lambda value: value is None, "None"),
+    os.PathLike[str]: (_is_of(os.PathLike), "a path"),
+    type(None): (_is_of(type(None)), "None"),
 }
 """Of each annotation that is checked: the test of a value, and the words for what is allowed."""
 
@@ -74,13 +67,13 @@ def checked(error: type[SparseskinError]) -> Callable[[Callable[P, R]], Callable
                 expected = ", ".join(signature.parameters)
                 raise error(f"{name}: {cause}; expected: {name}({expected})") from cause
             for key, value in bound.arguments.items():
-                if allowed := _what_is_allowed(value, hints()[key]):
-                    value_text = (
-                        "a masked array" if has_masked(value) else f"{value!r:.60}"
-                    )
-                    raise error(
-                        f"{name}: {key} = {value_text} is not allowed; allowed: {allowed}"
-                    )
+                allowed = _what_is_allowed(value, hints()[key])
+                if not allowed:
+                    continue
+                text = "a masked array" if has_masked(value) else f"{value!r:.60}"
+                raise error(
+                    f"{name}: {key} = {text} is not allowed; allowed: {allowed}"
+                )
             return function(*args, **kwargs)
 
         return call

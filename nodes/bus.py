@@ -32,6 +32,7 @@ class Bus:
         links = join(nodes)
         for name, (cls, settings) in nodes.items():
             log = partial(_log, self.lines, name)
+            # Frames wait until the nodes are done: no source is live here.
             node = cls(settings, Context(name, self._clock_of(name), log, live=False))
             inputs = [link.topic for link in links if link.reader == name]
             self.hosts[name] = NodeHost(node, LOCAL_RUN_ID, log, inputs)
@@ -60,13 +61,12 @@ class Bus:
             messages: list[Message] = []
             # Stamps name frames, so they must differ even on a clock that stands still.
             self._last_stamp_ns = max(self.clock.now_ns(), self._last_stamp_ns + 1)
+            tick = Tick(self._last_stamp_ns, self._n_ticks)
             for host in live:
-                messages += self._deliver(
-                    host.tick(Tick(self._last_stamp_ns, self._n_ticks))
-                )
-            if not messages and not all(
-                getattr(host.node, "acquired", True) for host in live
-            ):
+                messages += self._deliver(host.tick(tick))
+            # A tick that found no frame is not counted as one.
+            has_frame = all(getattr(host.node, "acquired", True) for host in live)
+            if not messages and not has_frame:
                 continue
             self._n_ticks += 1
             done += 1

@@ -106,6 +106,7 @@ class ClockOffset:
         estimate = self.estimate(t4_ns)
         if estimate is not None:
             difference_ns = abs(offset_ns - estimate.offset_ns)
+            # One alone may be wrong; several in a row mean that a clock was set.
             if difference_ns > estimate.uncertainty_ns + exchange.uncertainty_ns(t4_ns):
                 self._contradictions += 1
                 if self._contradictions < MAX_CONTRADICTIONS:
@@ -119,7 +120,6 @@ class ClockOffset:
         """Best estimate at `now_ns` of our clock; None before the first exchange."""
         if not self._exchanges:
             return None
-        best = min(
-            self._exchanges, key=lambda exchange: exchange.uncertainty_ns(now_ns)
-        )
+        # The quickest round trip bounds the offset best, until the clocks have drifted since.
+        best = min(self._exchanges, key=lambda each: each.uncertainty_ns(now_ns))
         return ClockEstimate(best.offset_ns, best.uncertainty_ns(now_ns))

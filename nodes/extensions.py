@@ -42,12 +42,11 @@ SOLVERS = "sparseskin_solvers"
 @cache
 def offered(group: str) -> "dict[str, EntryPoint]":
     """Entry points of a group by name, in alphabetical order."""
-    from importlib.metadata import (
-        entry_points,
-    )  # takes time, and the core alone needs none
+    # It takes time, and the core alone needs none.
+    from importlib.metadata import entry_points
 
     by_name = {point.name: point for point in entry_points(group=group)}
-    return {name: by_name[name] for name in sorted(by_name)}
+    return dict(sorted(by_name.items()))
 
 
 def added(group: str, own: Container[str]) -> "dict[str, EntryPoint]":
@@ -91,10 +90,10 @@ def load(group: str, name: str, error: type[SparseskinError], where: str = "") -
     point = offered(group)[name]
     try:
         return point.load()
-    except Exception as cause:  # a plug-in may raise anything
-        raise error(
-            f"{where or name}: plug-in {point.value}: {one_line(cause)}"
-        ) from cause
+    # A plug-in may raise anything.
+    except Exception as cause:
+        fault = f"plug-in {point.value}: {one_line(cause)}"
+        raise error(f"{where or name}: {fault}") from cause
 
 
 @cache
@@ -104,18 +103,19 @@ def loaded(group: str) -> dict[str, Any]:
     for name in offered(group):
         try:
             objects[name] = load(group, name, SparseskinError)
+        # It stops no other; `failures` names it.
         except SparseskinError:
-            continue  # it stops no other; `failures` names it
+            continue
     return objects
 
 
 def failures(group: str) -> str:
     """The plug-ins of a group that cannot be imported, as the end of an error; "" for none."""
-    absent = [
-        offered(group)[name].value
-        for name in offered(group).keys() - loaded(group).keys()
-    ]
-    return f"; cannot be imported: {', '.join(sorted(absent))}" if absent else ""
+    names = offered(group).keys() - loaded(group).keys()
+    if not names:
+        return ""
+    absent = sorted(offered(group)[name].value for name in names)
+    return f"; cannot be imported: {', '.join(absent)}"
 
 
 def forget() -> None:

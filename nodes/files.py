@@ -66,6 +66,7 @@ def is_served(path: Path) -> bool:
             probe.connect(str(path))
         except (FileNotFoundError, ConnectionRefusedError):
             return False
+        # One that is busy, or that this user may not enter: it is not to be replaced.
         except OSError:
             return True
     return True
@@ -94,7 +95,8 @@ def place(part: Path, path: Path) -> None:
         os.link(part, path)
     except FileExistsError:
         raise
-    except OSError:  # a file system without hard links
+    # A file system without hard links.
+    except OSError:
         if os.path.lexists(path):
             raise FileExistsError(errno.EEXIST, os.strerror(errno.EEXIST)) from None
         part.rename(path)

@@ -37,32 +37,30 @@ def join(nodes: NodeSpecs) -> list[Link]:
             writers[topic] = name
     links = []
     for name, (cls, settings) in nodes.items():
+        topics = []
         for pattern in cls.inputs(settings):
-            matching = fnmatch.filter(writers, pattern) if "*" in pattern else [pattern]
-            for topic in matching:
-                if topic not in writers:
-                    hint = _hint(topic, writers)
-                    raise SettingsError(
-                        f"{name}: reads {topic}, which no node writes{hint}"
-                    )
-                links.append(Link(topic, writers[topic], name))
+            matching = [pattern]
+            if "*" in pattern:
+                matching = fnmatch.filter(writers, pattern)
+            elif pattern not in writers:
+                hint = _hint(pattern, writers)
+                raise SettingsError(
+                    f"{name}: reads {pattern}, which no node writes{hint}"
+                )
             if not matching:
                 raise SettingsError(
                     f"{name}: reads {pattern}, which matches no written topic"
                 )
-        optional = [
-            topic for topic in cls.optional_inputs(settings) if topic in writers
-        ]
-        links += [Link(topic, writers[topic], name) for topic in optional]
+            topics += matching
+        topics += [t for t in cls.optional_inputs(settings) if t in writers]
+        links += [Link(topic, writers[topic], name) for topic in topics]
     return links
 
 
 def _hint(topic: str, writers: Mapping[str, str]) -> str:
     """What may have been meant: topics of the same schema, or else all that are written."""
     schema = topic.rpartition("/")[2]
-    same_schema = [
-        written for written in writers if written.rpartition("/")[2] == schema
-    ]
+    same_schema = [t for t in writers if t.rpartition("/")[2] == schema]
     if same_schema:
         return did_you_mean(topic, same_schema)
     return f" (written: {', '.join(sorted(writers))})"

@@ -41,21 +41,20 @@ def search_here(module: str) -> str:
 def _is_installed(package: str) -> bool:
     if package in sys.modules:
         return True
+    # A folder alone, without a file, has a spec, too, but no origin.
     with suppress(ImportError, ValueError):
         module_spec = importlib.util.find_spec(package)
-        return (
-            module_spec is not None and module_spec.origin is not None
-        )  # a folder alone is no module
+        return module_spec is not None and module_spec.origin is not None
     return False
 
 
 def suggestion(word: str, known: Iterable[str]) -> str:
     """Hint for a word that is like a known one: ' (did you mean 'iterations'?)'; "" for others."""
 
-    def likeness(name: str) -> tuple[float, int]:  # then the number of letters in place
-        return difflib.SequenceMatcher(None, name, word).ratio(), sum(
-            map(str.__eq__, name, word)
-        )
+    def likeness(name: str) -> tuple[float, int]:
+        ratio = difflib.SequenceMatcher(None, name, word).ratio()
+        # Of two that are as near, the one with more letters in place.
+        return ratio, sum(map(str.__eq__, name, word))
 
     near = max(difflib.get_close_matches(word, known), key=likeness, default="")
     return f" (did you mean '{near}'?)" if near else ""
@@ -64,7 +63,9 @@ def suggestion(word: str, known: Iterable[str]) -> str:
 def did_you_mean(word: str, known: Iterable[str]) -> str:
     """Hint for an unknown word: as `suggestion`, else the list of known ones."""
     names = sorted(known)
-    return suggestion(word, names) or (f" (known: {', '.join(names)})" if names else "")
+    if not names:
+        return ""
+    return suggestion(word, names) or f" (known: {', '.join(names)})"
 
 
 def nearest_of(word: str, allowed: Collection[str]) -> str:
@@ -84,12 +85,14 @@ def one_line(error: BaseException) -> str:
     text = " ".join(str(error)[:MAX_TEXT].split())
     line = f"{type(error).__name__}: {text}" if text else type(error).__name__
     prefix = os.path.join(os.getcwd(), "")
-    places = [
-        f" ({frame.f_code.co_filename.removeprefix(prefix)}:{number})"
-        for frame, number in traceback.walk_tb(error.__traceback__)
-        if str(frame.f_globals.get("__name__")).partition(".")[0] not in _NOT_THE_USERS
-    ]
-    return line + (places[-1] if places else "")
+    # The innermost frame of the user's own code: below it are libraries.
+    place = ""
+    for frame, number in traceback.walk_tb(error.__traceback__):
+        package = str(frame.f_globals.get("__name__")).partition(".")[0]
+        if package not in _NOT_THE_USERS:
+            file = frame.f_code.co_filename.removeprefix(prefix)
+            place = f" ({file}:{number})"
+    return line + place
 
 
 def trace_of(error: BaseException) -> str:
@@ -108,6 +111,7 @@ def find_callable(target: str, error: type[SparseskinError]) -> Callable[..., An
     parts = [*module_name.split("."), *attribute.split(".")]
     if not colon or not all(part.isidentifier() for part in parts):
         raise error(f"{target[:80]!r}: expected module:callable, e.g. my_skin:frames")
+    # A file may have been written since this process looked last.
     searched = search_here(module_name)
     importlib.invalidate_caches()
     try:

@@ -249,6 +249,7 @@ class SourceNode(Node[S]):
     def command(self, name: str, value: Any) -> str:
         if name != "pause":
             return super().command(name, value)
+        # Without a value it toggles.
         pause = not self.paused if value is None else value
         if not isinstance(pause, bool):
             raise RefusedError(
@@ -260,6 +261,7 @@ class SourceNode(Node[S]):
 
     def pause(self, paused: bool) -> None:
         """Pause, or resume at the same rate from now."""
+        # A schedule from before the pause would make up for its ticks.
         self._paused = paused
         self.begin(self.context.clock.now_ns())
 

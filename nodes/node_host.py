@@ -49,11 +49,13 @@ class TopicCount:
     def admit(self, message: Message) -> bool:
         """Count a message; False for one received before (a latched topic repeats)."""
         self._enter(message.run_id)
+        # What was sent before a late reader came is neither sent to it nor lost.
         if self.late and not self.received:
             self.n_of_earlier_runs = -message.seq
             self.expected = message.seq
         if message.seq < self.expected:
             return False
+        # Of a state only the last one holds: a gap is no loss.
         if not message.latched:
             self.lost += message.seq - self.expected
         self.received += 1
@@ -87,14 +89,14 @@ class Counts:
 
     def as_dict(self) -> dict[str, Any]:
         """Counters as plain data, for status lines and summaries."""
-        counts: dict[str, Any] = {
-            counter: {
-                topic: getattr(count, counter) for topic, count in self.inputs.items()
-            }
-            for counter in COUNTED
-        }
-        counts |= {"published": dict(self.published), "refused": dict(self.refused)}
-        return counts | ({"errors": self.errors} if self.errors else {})
+        counts: dict[str, Any] = {}
+        for name in COUNTED:
+            counts[name] = {t: getattr(c, name) for t, c in self.inputs.items()}
+        counts["published"] = dict(self.published)
+        counts["refused"] = dict(self.refused)
+        if self.errors:
+            counts["errors"] = self.errors
+        return counts
 
 
 class NodeHost:
@@ -118,12 +120,9 @@ class NodeHost:
         self.run_id = run_id
         self.inputs = tuple(node.inputs(node.settings) if inputs is None else inputs)
         self.outputs = node.outputs(node.settings)
-        self.counts = Counts(
-            {
-                topic: TopicCount(late=late or topic in late_inputs)
-                for topic in self.inputs
-            }
-        )
+        self.counts = Counts()
+        for topic in self.inputs:
+            self.counts.inputs[topic] = TopicCount(late or topic in late_inputs)
         self.streams = [topic for topic in self.inputs if not is_latched(topic)]
         self.raised: Callable[[Exception], None] = lambda error: None
         self.published: Callable[[str, int], None] = lambda topic, n: None
@@ -216,16 +215,19 @@ class NodeHost:
 
     def _ends(self, stamp_ns: int) -> Iterator[End]:
         for topic in self.outputs:
+            # A state remains valid after the end of the stream.
             if is_latched(topic):
-                continue  # a state remains valid after the end of the stream
+                continue
             patch, schema = split_topic(topic)
             n = self.counts.published[topic]
-            head: dict[str, Any] = {
-                "stamp_ns": stamp_ns,
-                "patch": patch,
-                "run_id": self.run_id,
-            }
-            yield End(**head, seq=n, of=schema, n_messages=n)
+            yield End(
+                stamp_ns=stamp_ns,
+                patch=patch,
+                run_id=self.run_id,
+                seq=n,
+                of=schema,
+                n_messages=n,
+            )
 
     def idle(self) -> None:
         """Let the node do its periodic work."""
@@ -254,22 +256,22 @@ class NodeHost:
         except MessageError as error:
             self._refuse(error.reason, f"not published: {error}")
             self._count_error(error)
+        # The node cannot do what its settings ask for; no later message changes that.
         except SparseskinError as error:
-            # The node cannot do what its settings ask for; no later message changes that.
             self.failure = self.failure or str(error)
             self._refuse("failed", str(error))
-        except Exception as error:  # a user's own solver may raise anything
+        # A user's own solver may raise anything.
+        except Exception as error:
             self._refuse("failed", one_line(error))
             self._count_error(error)
 
     def _numbered(self, message: Message) -> Message:
         """Count a message that the node publishes, and give it its number."""
+        # Before it is sent: should this process be killed, none was sent that is not counted.
         topic = message.topic
         seq = self.counts.published[topic]
         self.counts.published[topic] = seq + 1
-        self.published(
-            topic, seq + 1
-        )  # before it is sent: none is sent that is not counted
+        self.published(topic, seq + 1)
         return message.published(self.run_id, seq)
 
     def _count_error(self, error: Exception) -> None:
@@ -292,4 +294,5 @@ def is_due(times: int) -> bool:
 def log_some(log: Log, line: str, times: int) -> None:
     """Log a repeated line the 1st, 10th, 100th ... time, so that a flood stays readable."""
     if is_due(times):
-        log(line + (f" ({times} times)" if times > 1 else ""))
+        often = f" ({times} times)" if times > 1 else ""
+        log(line + often)

@@ -25,7 +25,8 @@ NODE_TYPES = extensions.Registry(
 
 def node_class(type_name: str) -> "type[Node[Any]]":
     """Return the class of a registered node type, or of "module:Class"; or raise SettingsError."""
-    from .node import Node  # with it numpy, which the names above do not need
+    # With it comes numpy, which the names above do not need.
+    from .node import Node
 
     cls = find_class("type", type_name, NODE_TYPES, SettingsError)
     if not (isinstance(cls, type) and issubclass(cls, Node)):

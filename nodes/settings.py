@@ -71,16 +71,13 @@ class Settings:
                     f"{key}: cannot be changed while the graph runs "
                     f"(allowed: {', '.join(live) or 'none'})"
                 )
+            # A module of the user's own is imported for a launch file only.
+            value = changes[key]
             registered = fields[key].metadata["range"].known
-            if (
-                registered
-                and changes[key] is not None
-                and changes[key] not in registered
-            ):
-                # A module of the user's own is imported for a launch file only.
+            if registered and value is not None and value not in registered:
                 raise SettingsError(
-                    f"{key}: {changes[key]!r} is not allowed while the graph runs"
-                    f"{nearest_of(str(changes[key]), registered)}"
+                    f"{key}: {value!r} is not allowed while the graph runs"
+                    f"{nearest_of(str(value), registered)}"
                 )
         settings = dataclasses.replace(self, **changes)
         settings.check()
@@ -88,11 +85,8 @@ class Settings:
 
     def live_values(self) -> dict[str, Any]:
         """Values of the settings that can be changed while the graph runs."""
-        return {
-            name: getattr(self, name)
-            for name, _, allowed in _declared(self)
-            if allowed.live
-        }
+        live = [name for name, _, allowed in _declared(self) if allowed.live]
+        return {name: getattr(self, name) for name in live}
 
     @classmethod
     def described(cls) -> list[dict[str, Any]]:
@@ -172,10 +166,10 @@ def check_patches(place: str, names: tuple[str, ...]) -> None:
         check_patch(f"{place}[{k}]", name)
         if name in names[:k]:
             raise SettingsError(f"{place}[{k}]: '{name}' occurs twice")
+    # As they travel: in one text, with spaces between them.
     if len(" ".join(names)) > MAX_NAMES:
-        raise SettingsError(
-            f"{place}: more than {MAX_NAMES} characters of names in all"
-        )
+        limit = f"more than {MAX_NAMES} characters"
+        raise SettingsError(f"{place}: {limit} of names in all")
 
 
 def _if_finite(limit: float) -> float | None:
@@ -185,14 +179,11 @@ def _if_finite(limit: float) -> float | None:
 def _declared(cls: Any) -> Iterator[tuple[str, str, Range]]:
     """Name, type and range of every setting."""
     for field in dataclasses.fields(cls):
-        text = (
-            getattr(field.type, "__name__", "") if isinstance(field.type, type) else ""
-        )
-        yield (
-            field.name,
-            text or str(field.type).replace("typing.", ""),
-            field.metadata["range"],
-        )
+        # A text where the module postpones its annotations.
+        text = str(field.type).replace("typing.", "")
+        if isinstance(field.type, type):
+            text = field.type.__name__
+        yield field.name, text, field.metadata["range"]
 
 
 def _checked(name: str, value: Any, hint: Any) -> Any:
@@ -213,6 +204,7 @@ def _checked(name: str, value: Any, hint: Any) -> Any:
         elif option is float:
             if isinstance(value, float):
                 return value
+            # One that float does not hold is infinite: out of any range, not of another type.
             if is_whole(value):
                 return float(value) if is_real(value) else math.inf
         elif option is int:

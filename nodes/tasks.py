@@ -39,34 +39,31 @@ def make_executor(spec: str) -> Executor:
     """
     if spec == "serial":
         return ThreadPoolExecutor(1)
-    kind, colon, argument = spec.partition(":")
-    if not (kind and colon and argument) or (
-        argument.isdecimal() and kind not in KINDS
-    ):
-        raise SettingsError(
-            f"--executor {spec}: expected {FORMS}{did_you_mean(kind, KINDS)}"
-        )
+    place = f"--executor {spec}"
+    kind, _, argument = spec.partition(":")
+    # A factory of the user's own has no number.
+    is_misspelt = argument.isdecimal() and kind not in KINDS
+    if not (kind and argument) or is_misspelt:
+        raise SettingsError(f"{place}: expected {FORMS}{did_you_mean(kind, KINDS)}")
     if kind in KINDS:
         if not argument.isdecimal() or not 1 <= int(argument) <= MAX_WORKERS:
-            raise SettingsError(f"--executor {spec}: expected 1..{MAX_WORKERS} workers")
+            raise SettingsError(f"{place}: expected 1..{MAX_WORKERS} workers")
         if kind == "thread":
             return ThreadPoolExecutor(int(argument))
         for threads in SINGLE_THREADED:
             os.environ.setdefault(threads, "1")
         # Spawned: a forked worker would inherit locks held by threads of this process.
-        return ProcessPoolExecutor(
-            int(argument), mp_context=multiprocessing.get_context("spawn")
-        )
+        spawning = multiprocessing.get_context("spawn")
+        return ProcessPoolExecutor(int(argument), mp_context=spawning)
+
     make = find_callable(spec, SettingsError)
     try:
         executor = make()
     except Exception as error:
-        raise SettingsError(
-            f"--executor {spec}: {type(error).__name__}: {error}"
-        ) from error
+        raise SettingsError(f"{place}: {type(error).__name__}: {error}") from error
     if not isinstance(executor, Executor):
         raise SettingsError(
-            f"--executor {spec}: made {type(executor).__name__}, "
+            f"{place}: made {type(executor).__name__}, "
             "expected a concurrent.futures.Executor"
         )
     return executor
@@ -105,14 +102,17 @@ def computed(
 
 def _run(function: Callable[[A], R], task: A) -> R:
     """Compute one task, in a worker, which ends with the process that started it, or here."""
-    if parent := multiprocessing.parent_process():
+    parent = multiprocessing.parent_process()
+    if parent is not None:
+        # It may have ended before this, the first task.
         assert parent.pid is not None
-        watch_parent(parent.pid)  # it may have ended before this, the first task
+        watch_parent(parent.pid)
     return function(task)
 
 
 @contextmanager
 def _interrupts_ignored() -> Iterator[None]:
+    # Python lets the main thread alone change what a signal does.
     if threading.current_thread() is not threading.main_thread():
         yield
         return

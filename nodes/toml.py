@@ -45,22 +45,25 @@ def parse_toml(text: str, max_chars: int = MAX_CHARS) -> dict[str, Any]:
         raise ValueError(
             f"more than {MAX_DEPTH} tables or lists within each other"
         ) from None
-    except ValueError as error:  # int() refuses thousands of digits, and names no place
-        long = _LONG.search(text)
-        at = text.count("\n", 0, long.start()) + 1 if long else 1
+    # int() refuses thousands of digits, and names no place.
+    except ValueError as error:
+        digits = _LONG.search(text)
+        at = text.count("\n", 0, digits.start()) + 1 if digits else 1
         raise ValueError(
             f"a whole number beyond 64 bits (at line {at}, column 1)"
         ) from error
+
+    # Without recursion, which a deep tree could exhaust.
     waiting: list[tuple[tuple[str, ...], Any]] = [((), tree)]
     while waiting:
         place, value = waiting.pop()
-        where = ".".join(place)
+        where = ".".join(place)[:80]
         if len(place) > MAX_DEPTH:
             raise ValueError(
-                f"{where[:80]}: more than {MAX_DEPTH} tables or lists in each other"
+                f"{where}: more than {MAX_DEPTH} tables or lists in each other"
             )
         if isinstance(value, int) and not -INT64_MAX - 1 <= value <= INT64_MAX:
-            raise ValueError(f"{where[:80]}: a whole number beyond 64 bits")
+            raise ValueError(f"{where}: a whole number beyond 64 bits")
         if isinstance(value, dict):
             waiting += [((*place, key), part) for key, part in value.items()]
         elif isinstance(value, list):

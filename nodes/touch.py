@@ -64,11 +64,13 @@ class MeasuredNoise:
         # Equal frames may be the same one, read twice.
         if not change.any() and np.array_equal(previous, forces):
             return self.sigma
+        # Clipped noise leaves half of the untouched taxels at 0.
         is_clipped = np.count_nonzero(forces) < 0.75 * forces.size
-        now = _median(change) / (CLIPPED if is_clipped else DIFFERENCE)
+        of_frame = _median(change) / (CLIPPED if is_clipped else DIFFERENCE)
         if self._mean is None:
-            self._mean = self.sigma = now
-        self._mean += SMOOTHING * (now - self._mean)
+            self._mean = of_frame
+            self.sigma = of_frame
+        self._mean += SMOOTHING * (of_frame - self._mean)
         self.sigma *= FALL if self._mean < self.sigma else RISE
         return self.sigma
 

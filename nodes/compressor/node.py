@@ -135,12 +135,9 @@ class CompressorSettings(PatchesSettings):
         with naming("phi"):
             made_by = phi_class(self.phi)
         if self.n_patches > 1 and phi_fact(made_by, "choice"):
-            allowed = (
-                "allowed for several patches: a Phi that all patches share, as sbhe"
-            )
-            raise SettingsError(
-                f"phi: {self.phi} chooses other rows for each patch; {allowed}"
-            )
+            fault = f"phi: {self.phi} chooses other rows for each patch"
+            allowed = "a Phi that all patches share, as sbhe"
+            raise SettingsError(f"{fault}; allowed for several patches: {allowed}")
         # A function that makes a Phi shows its rows only once it is called.
         if self.rows == ROTATING and isinstance(made_by, type):
             check_rotates(made_by, self.phi)
@@ -215,7 +212,6 @@ def compression_warnings(
     reconstruct badly: a line each with the setting, its effect, the advised value.
     """
     warnings = []
-
     if n > MAX_RATIO * m:
         warnings.append(
             f"m = {m} of n = {n} taxels: more than one small contact is not reconstructed; "
@@ -277,12 +273,11 @@ class Compressor(Node[CompressorSettings]):
     def check_inputs(
         cls, settings: CompressorSettings, facts: Mapping[str, Any]
     ) -> None:
+        # The number of taxels may not be known before the graph runs.
         n = facts.get(topic_of(settings.patch, SkinState.schema))
         if n is None:
             return
-
         rows, m = settings.rows_and_m(n)
-
         made_by = phi_class(settings.phi)
         key = "ratio" if settings.m is None else "m"
         with naming(key):
@@ -319,17 +314,17 @@ class Compressor(Node[CompressorSettings]):
         self.settings = settings
         if self._state is None:
             return ()
-        is_same_phi = replace(
-            settings, bits=old_settings.bits, quiet=old_settings.quiet
-        )
-        if is_same_phi == old_settings and self._subsets:
+        # Neither changes Phi: readers need no new one, and the row subsets go on.
+        of_old_phi = replace(settings, bits=old_settings.bits, quiet=old_settings.quiet)
+        if of_old_phi == old_settings and self._subsets:
             self._warn(self._subsets[0])
             if settings.quiet != old_settings.quiet:
                 self._listen()
             return ()
         try:
             return (self._learn_skin(self._state, self.context.clock.now_ns()),)
-        except Exception:  # a user's own Phi may raise anything
+        # A user's own Phi may raise anything.
+        except Exception:
             self.settings = old_settings
             raise
 
@@ -360,7 +355,8 @@ class Compressor(Node[CompressorSettings]):
         subsets = settings.phis(state.skin, state.sigma_end, state.clips_noise)
         if state.rate_hz >= COMPILED_HZ and use_compiled("auto"):
             for subset in subsets:
-                if isinstance(subset, Phi):  # a user's own need not be one
+                # A user's own need not be one.
+                if isinstance(subset, Phi):
                     subset.compile_loops()
         phi = subsets[0]
         self._warn(phi)
@@ -394,6 +390,7 @@ class Compressor(Node[CompressorSettings]):
         """Begin to look for changes, if the settings ask for it and the skin states its noise."""
         period_s = self.settings.quiet
         assert self._state is not None
+        # Without a stated noise, no change could be told from it.
         if period_s is not None and not self._state.sigma_end:
             self.context.log(
                 "quiet: every frame is sent, as the skin states no noise to tell changes from; "
@@ -403,11 +400,9 @@ class Compressor(Node[CompressorSettings]):
         self._silence.begin(self._state, len(self._subsets), period_s)
 
     def _warn(self, phi: Phi) -> None:
-        settings = self.settings
-        warnings = compression_warnings(
-            settings.phi, phi.n, phi.m, phi.block, settings.bits
-        )
-        for warning in warnings:
+        kind = self.settings.phi
+        bits = self.settings.bits
+        for warning in compression_warnings(kind, phi.n, phi.m, phi.block, bits):
             self.context.log(warning)
 
     def _check_frame(self, taxels: Taxels) -> None:
@@ -434,6 +429,7 @@ class Compressor(Node[CompressorSettings]):
 
     def _compress(self, taxels: Taxels, phi: Phi, patches: Mask) -> Measurements:
         """Measurements of some patches of a frame, bool (n_patches,), one of them at least."""
+        # All of them are not copied.
         forces = taxels.forces
         if not patches.all():
             forces = forces[patches]
@@ -458,6 +454,7 @@ class Compressor(Node[CompressorSettings]):
             y = quantised(y, self.settings.bits)
         fields["y"] = y
 
+        # All its fields are checked; those of later frames are made in the same way.
         if self._first is None:
             self._first = Measurements(
                 patch=self.settings.patch, names=self.settings.patches, **fields

@@ -21,7 +21,6 @@ def quantised(y: Floats, bits: int) -> Quantised:
     Source: uniform mid-tread quantiser; Widrow, Kollar, "Quantization Noise", Cambridge
     University Press, 2008, chapter 1.
     """
-
     # The largest measurement of the frame has the largest code.
     top = largest_code(bits)
     largest = max(float(np.abs(y).max()), SMALLEST)

@@ -231,9 +231,8 @@ class PatchMetrics:
             case SkinState():
                 self._note_changes(self.skin, message, "sigma_mid")
                 self.skin = message
-                self._sensed_schema = (
-                    Taxels if message.has_taxels else Measurements
-                ).schema
+                sensed = Taxels if message.has_taxels else Measurements
+                self._sensed_schema = sensed.schema
             case PhiState():
                 self._note_changes(self.phi, message, "kind", "m", "rows")
                 self.phi = message
@@ -307,8 +306,9 @@ class PatchMetrics:
         ]
         # Of a long silence the first ones were dropped.
         self.unpaired -= min(self.unpaired, max(0, n_quiet - len(between)))
+        # Some were lost, and nobody knows which.
         if len(between) > n_quiet:
-            return  # some were lost, nobody knows which
+            return
         for stamp_ns in between:
             frame = self._pending.pop(stamp_ns)
             self._compare(frame, previous, self.skin)
@@ -343,13 +343,9 @@ class PatchMetrics:
         if not self.reconstructed or len(self.changes) >= MAX_CHANGES:
             return
         if old != new and old not in (None, "") and new != "":
-            change = {
-                "frame": self.reconstructed,
-                "setting": name,
-                "from": old,
-                "to": new,
-            }
-            self.changes.append(change)
+            self.changes.append(
+                {"frame": self.reconstructed, "setting": name, "from": old, "to": new}
+            )
 
     def end(self, schema: str, n_messages: int) -> None:
         """End a topic after n_messages: the publisher's own count is the right one."""
@@ -369,6 +365,7 @@ class PatchMetrics:
 
     def _evaluate(self, stamp_ns: int) -> FrameMetrics | None:
         """Evaluate a frame once all its messages have arrived."""
+        # It may come in any order, of several nodes.
         frame = self._pending.get(stamp_ns)
         skin = self.skin
         if frame is None or skin is None or not frame.n_sensed:
@@ -451,10 +448,8 @@ class PatchMetrics:
         summary = {
             "scene": getattr(self.skin, "source", None),
             "phi": getattr(phi, "kind", None),
-            **_fields(
-                self.solver, "basis", "solver", "preset", "iterations", "max_iterations"
-            ),
-            **_fields(self.solver, "frame_ms"),
+            **_fields(self.solver, "basis", "solver", "preset"),
+            **_fields(self.solver, "iterations", "max_iterations", "frame_ms"),
             **_fields(phi, "rows", "n", "m"),
             **_fields(self.skin, "f_min", "f_max", "unit"),
             "ratio": None,

@@ -6,6 +6,7 @@ import os
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, replace
 from functools import partial
+from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -103,9 +104,7 @@ class MonitorSettings(Settings):
     @property
     def groups(self) -> dict[str, tuple[str, ...]]:
         """Names of the patches of each batch, by its name; of a single patch its own."""
-        groups: dict[str, tuple[str, ...]] = {}
-        for patch in self.patches:
-            groups[patch] = (patch,)
+        groups: dict[str, tuple[str, ...]] = {name: (name,) for name in self.patches}
         for batch, names in (self.batches or {}).items():
             groups[batch] = tuple(names)
         return groups
@@ -113,10 +112,7 @@ class MonitorSettings(Settings):
     @property
     def all_patches(self) -> tuple[str, ...]:
         """Names of all patches, those of batches too."""
-        names: tuple[str, ...] = ()
-        for of_group in self.groups.values():
-            names += of_group
-        return names
+        return tuple(chain.from_iterable(self.groups.values()))
 
 
 class Monitor(Node[MonitorSettings]):
@@ -133,9 +129,7 @@ class Monitor(Node[MonitorSettings]):
     def __init__(self, settings: MonitorSettings, context: Context) -> None:
         super().__init__(settings, context)
         # A monitor that joins late states from when its figures are.
-        since_ns = None
-        if context.late:
-            since_ns = context.clock.now_ns()
+        since_ns = context.clock.now_ns() if context.late else None
         self._groups = settings.groups
         self._patches: dict[str, PatchMetrics] = {}
         for group, names in self._groups.items():
@@ -219,10 +213,9 @@ class Monitor(Node[MonitorSettings]):
             return ()
         # A state of a batch is one of each of its patches.
         for name in self._groups.get(message.patch, (message.patch,)):
-            if name == message.patch:
-                self._add(message)
-            else:
-                self._add(replace(message, patch=name))
+            if name != message.patch:
+                message = replace(message, patch=name)
+            self._add(message)
         return ()
 
     def _add(self, message: Message) -> None:
@@ -286,9 +279,9 @@ class Monitor(Node[MonitorSettings]):
         self._status_ns = now_ns
 
         # Of few patches each has a line.
-        parts = [{name: metrics} for name, metrics in self._patches.items()]
-        if len(parts) > FEW:
-            parts = [self._patches]
+        parts = [self._patches]
+        if len(self._patches) <= FEW:
+            parts = [{name: metrics} for name, metrics in self._patches.items()]
         lines = []
         for patches in parts:
             n_new = 0
@@ -301,20 +294,15 @@ class Monitor(Node[MonitorSettings]):
         return "\n".join(lines)
 
     def report(self) -> dict[str, Any]:
-        return {
-            "patches": {
-                name: metrics.summary() for name, metrics in self._patches.items()
-            }
-        }
+        summaries = {name: patch.summary() for name, patch in self._patches.items()}
+        return {"patches": summaries}
 
     def _open_browser(self, url: str) -> bool:
         import webbrowser
 
         # Without a display a text browser would occupy the terminal of the graph.
-        has_display = any(
-            os.environ.get(name) for name in ("DISPLAY", "WAYLAND_DISPLAY")
-        )
-        if not has_display or not self.context.page_file:
+        display = os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")
+        if not display or not self.context.page_file:
             return False
 
         # Any user can list the arguments of a browser: its token is in a file of this user's.

@@ -7,6 +7,7 @@ import numpy as np
 import numpy.typing as npt
 
 SPAN_S = 60.0
+"""Time that the charts of a page show."""
 COLUMNS = ("time_s", "psnr_noisy_db", "psnr_db", "latency_ms", "solve_ms", "lost")
 MIN_CAPACITY = 2048
 MAX_CAPACITY = 1 << 17

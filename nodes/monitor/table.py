@@ -37,7 +37,7 @@ def status_line(patches: Mapping[str, PatchMetrics], rate_hz: float) -> str:
     """
     metrics = list(patches.values())
     latency, p50_ms = _latency(metrics)
-    # The last parts are left out where the terminal is narrow.
+    # A narrow terminal cuts off the last parts: what is wrong comes first.
     is_late = p50_ms >= LATE_MS
 
     parts = [_progress(patches, rate_hz)]
@@ -93,7 +93,8 @@ def _accuracy(patches: Sequence[PatchMetrics], to_what: str) -> Iterator[str]:
         yield f"PSNR{to_what} {sum(psnr_db) / len(psnr_db):.1f} dB"
     trust = [m.trust.contact for m in patches if m.trust.contact.count]
     if trust:
-        share = sum(t.total for t in trust) / sum(t.count for t in trust)
+        n_trusted = sum(extent.total for extent in trust)
+        share = n_trusted / sum(extent.count for extent in trust)
         yield f"trusted {share_of(share)}"
 
 
@@ -144,7 +145,6 @@ def doubts_text(patches: Iterable[Mapping[str, Any]]) -> str:
     if not n_untrusted:
         return ""
 
-    # Reasons of all patches are counted together.
     counts: Counter[str] = Counter()
     for patch in judged:
         counts.update(patch["doubts"])
@@ -216,11 +216,11 @@ def _measured_text(patch: Mapping[str, Any]) -> str:
     phi = patch["phi"]
     if patch["rows"] == "rotating":
         phi += ", rotating rows"
-    text = (
-        f"{phi}: "
-        f"N = {patch['n']}, M = {patch['m']} (ratio {shown(patch['ratio'], '.2f')}), "
-        f"range {shown(patch['f_min'], 'g')}..{shown(patch['f_max'], 'g')} {patch['unit']}"
-    )
+    ratio = shown(patch["ratio"], ".2f")
+    f_min = shown(patch["f_min"], "g")
+    f_max = shown(patch["f_max"], "g")
+    text = f"{phi}: N = {patch['n']}, M = {patch['m']} (ratio {ratio}), "
+    text += f"range {f_min}..{f_max} {patch['unit']}"
     if patch["bits"] not in (NONE, FLOAT_BITS):
         text += f", {patch['bits']} bits"
     return text
@@ -303,14 +303,15 @@ def _many_table(patches: Mapping[str, Mapping[str, Any]]) -> str:
         frames = patch["frames"]
         psnr_db = patch["psnr_db"]["reconstruction"]
         n_frames = frames["reconstructed"]
-        means = [psnr_db[k] and psnr_db[k]["mean"] for k in ("all", "contact")]
-        times = [patch["latency_ms"] and patch["latency_ms"][k] for k in ("p50", "p99")]
+        mean_db = {k: extent and extent["mean"] for k, extent in psnr_db.items()}
+        latency_ms = patch["latency_ms"] or {}
         idle = f"{100 * patch['unchanged'] / n_frames:.0f} %" if n_frames else NONE
         rows.append(
             f"{printable(name)[:12]:<12}{n_frames:>8}{frames['skipped']:>8}{frames['lost']:>6}"
             f"{idle:>7}"
-            f"{shown(means[0], '.1f'):>10}{shown(means[1], '.1f'):>8}"
-            f"{shown(times[0], '.4g'):>12}{shown(times[1], '.4g'):>7}"
+            f"{shown(mean_db['all'], '.1f'):>10}{shown(mean_db['contact'], '.1f'):>8}"
+            f"{shown(latency_ms.get('p50'), '.4g'):>12}"
+            f"{shown(latency_ms.get('p99'), '.4g'):>7}"
         )
 
     total = {
@@ -325,12 +326,12 @@ def _many_table(patches: Mapping[str, Mapping[str, Any]]) -> str:
 
 def _changes(changes: Sequence[Mapping[str, Any]]) -> str:
     """The settings that changed during the run, which the lines below state as they were last."""
-    parts = [
-        f"{LABELS.get(change['setting'], change['setting'])} "
-        + " -> ".join(shown(change[key], "g") for key in ("from", "to"))
-        + f" at frame {change['frame']}"
-        for change in changes[:MAX_CHANGES]
-    ]
+    parts = []
+    for change in changes[:MAX_CHANGES]:
+        label = LABELS.get(change["setting"], change["setting"])
+        old = shown(change["from"], "g")
+        new = shown(change["to"], "g")
+        parts.append(f"{label} {old} -> {new} at frame {change['frame']}")
     if len(changes) > MAX_CHANGES:
         parts.append(f"{len(changes) - MAX_CHANGES} more")
     text = f"settings changed during the run: {', '.join(parts)}; figures cover all of them"

@@ -70,7 +70,6 @@ class Gate:
 
     def guard(self, writer: zmq.Socket[bytes]) -> None:
         """Guard a socket; call it before the socket is bound."""
-
         # Without a domain ZeroMQ asks nobody.
         writer.setsockopt(zmq.ZAP_DOMAIN, ZAP_DOMAIN)
         writer.setsockopt(zmq.HANDSHAKE_IVL, HANDSHAKE_MS)
@@ -90,13 +89,14 @@ class Gate:
     def subscribed(self, fd: int) -> None:
         """Note that a subscription came by a connection: its peer is in order."""
         if fd not in self._open or fd in self._pending:
+            # Its events may still wait: they come by a socket of their own.
             self._serve_monitors()
             if fd in self._pending:
                 self._decide(self._pending.pop(fd))
 
     def _serve_monitors(self) -> None:
         for monitor in self.sockets[1:]:
-            for event, value, _ in events(monitor, MAX_EVENTS):
+            for event, value, _ in events(monitor):
                 self._note(event, value)
 
     def _answer(self, frames: list[bytes]) -> None:
@@ -139,9 +139,8 @@ class Gate:
             self._pending[value] = address
             if len(self._pending) > MAX_PENDING:
                 self._close_one()
-        elif (
-            event == zmq.EVENT_ACCEPT_FAILED and self._pending
-        ):  # no descriptor is free
+        elif event == zmq.EVENT_ACCEPT_FAILED:
+            # No descriptor is free.
             self._close_one()
         elif event in _FAILED:
             self._failure = _reason(event, value)
@@ -162,8 +161,9 @@ class Gate:
         return decided
 
     def _close_one(self) -> None:
-        """Close the oldest pending connection of the address that has the most."""
-
+        """Close the oldest pending connection of the address that has the most, if there is one."""
+        if not self._pending:
+            return
         # One address that floods must not shut out the others.
         ((host, _),) = Counter(map(_host, self._pending.values())).most_common(1)
         fd = next(fd for fd, address in self._pending.items() if _host(address) == host)
@@ -174,7 +174,6 @@ class Gate:
 
     def _log_refusal(self, address: str, reason: str) -> None:
         """Log some of the refusals: a refused peer may try without end."""
-
         kind = (_host(address), reason)
         if kind not in self._refused and len(self._refused) >= MAX_REFUSALS:
             kind = OTHERS
@@ -199,6 +198,7 @@ def _address_of(fd: int) -> str:
 
 def _shut_down(fd: int, address: str) -> None:
     """End a connection, if it is still that of the address; ZeroMQ then closes it."""
+    # ZeroMQ may have closed it meanwhile, and its descriptor may be of another connection.
     if _address_of(fd) == address != UNKNOWN:
         with contextlib.suppress(OSError), _connection(fd) as connection:
             connection.shutdown(socket.SHUT_RDWR)

@@ -56,16 +56,15 @@ def make_key_files(name: str, folder: Path) -> tuple[Path, Path]:
     for path in (secret_file, public_file):
         if os.path.lexists(path):
             raise KeyFileError(f"{path}: {TAKEN}")
+
+    # The folder of new keys is this user's alone: whoever writes to it can replace them.
     public, secret = (key.decode() for key in zmq.curve_keypair())
     try:
         folder.mkdir(mode=0o700, parents=True, exist_ok=True)
-        _write(
-            secret_file,
-            SECRET_MODE,
-            f"# the secret key of {name}: for this host alone",
-            secret,
-        )
-        _write(public_file, 0o644, f"# the public key of {name}: for its peers", public)
+        use = f"# the secret key of {name}: for this host alone"
+        _write(secret_file, SECRET_MODE, use, secret)
+        use = f"# the public key of {name}: for its peers"
+        _write(public_file, 0o644, use, public)
     except OSError as error:
         raise KeyFileError(f"{error.filename or folder}: {error.strerror}") from error
     return secret_file, public_file
@@ -117,7 +116,8 @@ def known_names(folder: Path) -> Mapping[str, str]:
         try:
             names[read_public_key(path)] = path.stem
         except KeyFileError:
-            continue  # where it is needed it is read by name, with the error
+            # Where it is needed it is read by name, with the error.
+            continue
     return names
 
 
@@ -156,6 +156,7 @@ def _key_in(path: Path, check: Callable[[os.stat_result], None]) -> str:
             hint = f" (make one: sparseskin keys make {path.stem})"
         raise KeyFileError(f"{path}: {error.strerror}{hint}") from error
 
+    # A key of Z85 may begin with "#", a comment begins with "# ".
     stripped = map(str.strip, lines)
     keys = [line for line in stripped if line and not line.startswith("# ")]
     if len(keys) != 1 or len(keys[0]) != KEY_CHARACTERS or not _Z85.fullmatch(keys[0]):

@@ -15,15 +15,13 @@ from sparseskin.nodes.clock import SAME_CLOCK, ClockEstimate, ClockOffset
 from sparseskin.nodes.files import check_private
 
 from .keys import KeyPair
-from .sockets import MAX_EVENTS, Peer, Reader, Writer, events, read_times
+from .sockets import Peer, Reader, Writer, events, read_times
 
 if TYPE_CHECKING:
     from .gate import Gate
 
 END_RECEIVED_NS = 30_000_000_000
 """Time for which a node waits until readers on other hosts have the end of its streams."""
-
-
 ASK_NS = 250_000_000
 """Period of the questions for the time of other hosts."""
 FIRST_NS = 30_000_000
@@ -90,6 +88,7 @@ class Network:
         self._first = first or self
         self._companions = frozenset(config.get("companions", ()))
         self._gate: Gate | None = first._gate if first is not None else None
+        # Who can be reached by TCP admits its readers; the path of a socket admits one user alone.
         if self._gate is None and (security or public or endpoint.startswith("tcp:")):
             from .gate import Gate
 
@@ -122,13 +121,12 @@ class Network:
         """Make the reader of the node's input topics; `connect` connects it. No source waits for
         one that observes.
         """
-        name = self._name
         keys = self._keys
-
         self._reader = Reader(
-            self._context, name, (), topics, keys=keys, observes=observes
+            self._context, self._name, (), topics, keys=keys, observes=observes
         )
         self.poller.register(self._reader.socket, zmq.POLLIN)
+        # Within a host, without keys, a connection neither breaks nor is refused.
         if keys is not None or self._distant_inputs:
             self._monitor = self._reader.socket.get_monitor_socket()
             self.poller.register(self._monitor, zmq.POLLIN)
@@ -150,13 +148,14 @@ class Network:
 
     def serve(self) -> None:
         """Process events of the gate and of connections; connect again; ask for the time."""
+        # The gate is that of all nodes of the process: the first one serves it.
         if self._gate is not None and self._first is self:
             self._gate.serve()
         if self._monitor is None or self._reader is None:
             return
 
         now_ns = self._now_ns()
-        for event, _, endpoint in events(self._monitor, MAX_EVENTS):
+        for event, _, endpoint in events(self._monitor):
             peer = self._by_endpoint.get(endpoint)
             if peer is None:
                 continue
@@ -180,6 +179,7 @@ class Network:
 
     def _ask_time(self, reader: Reader, now_ns: int) -> None:
         """Ask the other hosts for the time, and estimate their clocks by the answers so far."""
+        # No stamp of another host can be used before a few answers: the first questions hurry.
         period_ns = FIRST_NS if self._n_times < N_FIRST else ASK_NS
         self._next_ask_ns = now_ns + period_ns
         reader.ask_time(now_ns)
@@ -191,7 +191,6 @@ class Network:
 
     def take_time(self, note: bytes) -> bool:
         """Process the answer to a question for the time; False if the note is none."""
-
         times = read_times(note)
         if times is None:
             return False
@@ -245,9 +244,8 @@ class Network:
         """
         if not self._distant_readers:
             return True
-        now_ns = self._now_ns()
-
         # The time begins with the first question.
+        now_ns = self._now_ns()
         if self._end_ask is None:
             self._end_due_ns = now_ns + END_RECEIVED_NS
             self._end_ask = self.writer.ask()

@@ -79,12 +79,12 @@ def make_context() -> zmq.Context[zmq.Socket[bytes]]:
     return context
 
 
-def events(monitor: zmq.Socket[bytes], at_most: int) -> Iterator[tuple[int, int, str]]:
+def events(monitor: zmq.Socket[bytes]) -> Iterator[tuple[int, int, str]]:
     """Waiting events of a socket monitor, with their values and endpoints: zmq_socket_monitor(3).
 
     `zmq.utils.monitor` does the same and imports asyncio, which every node would wait for.
     """
-    for _ in range(at_most):
+    for _ in range(MAX_EVENTS):
         if not monitor.poll(0):
             return
         head, endpoint = monitor.recv_multipart()
@@ -132,20 +132,17 @@ class Writer:
         log: Callable[[str], None] = lambda line: None,
     ) -> None:
         self.socket: zmq.Socket[bytes] = context.socket(zmq.XPUB)
-        options = {
-            zmq.XPUB_VERBOSE: 1,
-            zmq.SNDHWM: QUEUE_FRAMES,
-            zmq.MAXMSGSIZE: MAX_NOTE_BYTES,
-        }
-        _set_options(self.socket, options)
+        # Each subscription arrives, not the first of a topic alone: late readers get its state.
+        self.socket.setsockopt(zmq.XPUB_VERBOSE, 1)
+        self.socket.setsockopt(zmq.SNDHWM, QUEUE_FRAMES)
+        self.socket.setsockopt(zmq.MAXMSGSIZE, MAX_NOTE_BYTES)
 
         self._gate = gate
         if gate is not None:
             gate.guard(self.socket)
         # Unlike all others, a bind to the path of a file replaces the one who listens there.
-        if endpoint.startswith("ipc:///") and is_served(
-            Path(endpoint.removeprefix("ipc://"))
-        ):
+        path = endpoint.removeprefix("ipc://")
+        if endpoint.startswith("ipc:///") and is_served(Path(path)):
             raise zmq.ZMQError(zmq.EADDRINUSE)
         self.socket.bind(endpoint)
         self.endpoint = self.socket.getsockopt(zmq.LAST_ENDPOINT).rstrip(b"\0").decode()
@@ -159,7 +156,7 @@ class Writer:
         self._logged: set[str] = set()
         self._latched: dict[bytes, bytes] = {}
 
-        # Subscriptions, and whether a topic has one, by topic as it is asked for.
+        # Subscriptions; and by topic, as it is asked for, whether one selects it.
         self._prefixes: set[bytes] = set()
         self._is_wanted: dict[str, bool] = {}
         self._n_subscriptions = 0
@@ -175,14 +172,15 @@ class Writer:
         """Publish a message to the subscribers of its topic; where there is none, encode none."""
         topic = message.topic
         if message.latched:
-            self._latched[topic.encode()] = wire_bytes(message)
-            self.socket.send(self._latched[topic.encode()])
+            buffer = wire_bytes(message)
+            self._latched[topic.encode()] = buffer
+            self.socket.send(buffer)
             return
+        # A reader may have come since the last look.
         if not self._wants(topic):
-            self.serve_subscriptions()  # a reader may have come since
-            if not self._wants(topic):
-                return
-        self.socket.send(wire_bytes(message))
+            self.serve_subscriptions()
+        if self._wants(topic):
+            self.socket.send(wire_bytes(message))
 
     def note(self, reader: str, text: str) -> None:
         """Send a note to a reader, under its presence tag."""
@@ -190,15 +188,15 @@ class Writer:
 
     def serve_subscriptions(self) -> None:
         """Process waiting subscriptions: note present readers, repeat latched messages."""
-        for _ in range(MAX_EVENTS):  # a flood must not keep a node from its work
+        # A flood of subscriptions must not keep a node from its work.
+        for _ in range(MAX_EVENTS):
             # A third of the time of a receive that fails.
             if not self.socket.getsockopt(_EVENTS) & _POLLIN:  # type: ignore[operator]
                 return
             frame = self.socket.recv(copy=False)
             if self._gate is not None:
-                with contextlib.suppress(
-                    zmq.ZMQError
-                ):  # by no connection, in a process
+                # That of a node of the same process comes by no connection.
+                with contextlib.suppress(zmq.ZMQError):
                     self._gate.subscribed(frame.get(zmq.SRCFD))
 
             joins = frame.bytes[:1] == JOINS
@@ -207,15 +205,16 @@ class Writer:
             if topic.startswith(PRESENCE):
                 self._note_presence(topic[1:].decode(errors="replace"), joins)
             elif joins:
-                if (
-                    topic not in self._prefixes
-                    and len(self._prefixes) < MAX_SUBSCRIPTIONS
-                ):
-                    self._prefixes.add(topic)
-                    self._is_wanted.clear()
+                self._add_prefix(topic)
                 # A reader that comes late gets the state that holds.
                 if topic in self._latched:
                     self.socket.send(self._latched[topic])
+
+    def _add_prefix(self, prefix: bytes) -> None:
+        # None is taken out again: a reader that never had a topic can end it for the others.
+        if prefix not in self._prefixes and len(self._prefixes) < MAX_SUBSCRIPTIONS:
+            self._prefixes.add(prefix)
+            self._is_wanted.clear()
 
     def _count_subscription(self, joins: bool) -> None:
         if joins:
@@ -223,10 +222,8 @@ class Writer:
         else:
             self._n_subscriptions = max(0, self._n_subscriptions - 1)
         if self._n_subscriptions > MAX_SUBSCRIPTIONS:
-            text = (
-                f"more than {MAX_SUBSCRIPTIONS} subscriptions: some reader misbehaves"
-            )
-            self._log_once(text)
+            excess = f"more than {MAX_SUBSCRIPTIONS} subscriptions"
+            self._log_once(f"{excess}: some reader misbehaves")
 
     def _wants(self, topic: str) -> bool:
         """True if a reader may have subscribed to a topic; ZeroMQ subscribes by prefix."""
@@ -239,9 +236,9 @@ class Writer:
 
     def ask(self) -> int:
         """Ask all present readers to answer when they have processed all messages sent so far."""
-
         self._asks += 1
         for reader in self.present - self._observers:
+            # One that is new has nothing to answer of the asks before.
             self._answered.setdefault(reader, self._asks - 1)
             self.note(reader, f"{self._name}:{self._asks}")
         return self._asks
@@ -287,7 +284,7 @@ class Writer:
 
     def _note_answer(self, reader: str, answer: str) -> None:
         """Note that a reader has processed all messages before an ask of this writer."""
-
+        # Answers come to all writers of the reader; a text of any length may claim to be one.
         writer, _, number = answer.partition(":")
         is_for_us = writer == self._name and reader in self._answered
         if is_for_us and number.isdecimal():
@@ -376,7 +373,8 @@ class Reader:
         message of several counts as a message. An ask is a payload under the reader's own tag.
         """
         while True:
-            try:  # to ask first whether one waits would cost as much as to receive it
+            # To ask first whether one waits would cost as much as to receive it.
+            try:
                 topic, payload = received(self.socket.recv(_NOBLOCK))
             except zmq.Again:
                 return None
@@ -409,6 +407,7 @@ class Reader:
         return topic, payload, is_overtaken
 
     def _fill_queue(self) -> None:
+        # A bound, as of the queues of ZeroMQ: a writer may be faster than this loop.
         while len(self._queue) < QUEUE_FRAMES:
             message = self.receive()
             if message is None:
@@ -433,7 +432,6 @@ class Reader:
 
     def ask_time(self, now_ns: int) -> None:
         """Ask all writers for the time on their clocks; the answers arrive like asks."""
-
         # The new question comes first, so that a reader has one at all times.
         tag = self._tag + b"!%d" % now_ns
         self.socket.subscribe(tag)
@@ -443,10 +441,10 @@ class Reader:
 
     def answer(self, note: bytes) -> None:
         """Answer the writer of an ask that all messages before it are processed."""
-
         writer = note.partition(b":")[0]
+        # No ask of a writer is as long, and no reader has as many writers.
         if len(note) > MAX_ASK_BYTES or len(self._answers) >= MAX_WRITERS:
-            return  # not one of the writers
+            return
         tag = self._tag + b"#" + note
         self.socket.subscribe(tag)
         if writer in self._answers:
@@ -456,12 +454,10 @@ class Reader:
 
 def read_times(note: bytes) -> tuple[str, int, int, int] | None:
     """Writer, t1, t2 and t3 (ns) in an answer to `Reader.ask_time`; None for anything else."""
-    writer, is_time, times = (
-        note[:MAX_TIMES_BYTES].decode(errors="replace").partition("!")
-    )
-
+    text = note[:MAX_TIMES_BYTES].decode(errors="replace")
+    writer, _, times = text.partition("!")
     parts = times.split(":")
-    if not is_time or len(parts) != 3:
+    if len(parts) != 3:
         return None
     if not all(part.isdecimal() and len(part) <= MAX_TIME_DIGITS for part in parts):
         return None

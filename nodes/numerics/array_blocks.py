@@ -84,11 +84,11 @@ class StoredArray:
                 copy.seek(0)
                 stream = copy
             begin = stream.tell()
-            for first in range(0, sides[at], n_gathered):
-                n = min(n_gathered, sides[at] - first)
+            for row in range(0, sides[at], n_gathered):
+                n = min(n_gathered, sides[at] - row)
                 entries = np.empty((n_outer, n, n_inner), self.dtype)
                 for outer in range(n_outer):
-                    stream.seek(begin + (outer * sides[at] + first) * entry_bytes)
+                    stream.seek(begin + (outer * sides[at] + row) * entry_bytes)
                     entries[outer] = self._read(stream, (n, n_inner))
                 whole = entries.reshape(*sides[:at], n, *sides[at + 1 :])
                 outer_axes = (slice(None),) * at

@@ -114,10 +114,9 @@ class Player(SourceNode[PlayerSettings]):
 
         # Not the whole file is read: what is damaged is reported as it is played.
         self._bag = BagReader(settings.file, whole=False)
-        names = renamed_topics(settings)
-        self._names = {
-            topic: new for topic, new in names.items() if topic in self._bag.topics
-        }
+        self._names = renamed_topics(settings)
+        for topic in self._names.keys() - self._bag.topics.keys():
+            del self._names[topic]
         if self._bag.recovered:
             print(f"{settings.file}: {self._bag.recovered}")
         if not any(info.n_messages for info in self._bag.topics.values()):
@@ -135,9 +134,8 @@ class Player(SourceNode[PlayerSettings]):
         states = [info for topic, info in self._bag.topics.items() if is_latched(topic)]
         self._has_changes = any(info.n_messages > 1 for info in states)
 
-        first_ns, last_ns = span_ns(
-            self._bag.topics[topic] for topic in self._names
-        ) or (0, 0)
+        infos = [self._bag.topics[topic] for topic in self._names]
+        first_ns, last_ns = span_ns(infos) or (0, 0)
         self._start_ns = first_ns + round(settings.start_s * 1e9)
         self._stop_ns = last_ns + 1
         if settings.duration_s is not None:
@@ -166,9 +164,7 @@ class Player(SourceNode[PlayerSettings]):
             contextlib.suppress(SparseskinError, MessageError),
         ):
             names = renamed_topics(settings)
-            latched = [
-                topic for topic in names if topic in bag.topics and is_latched(topic)
-            ]
+            latched = filter(is_latched, names.keys() & bag.topics.keys())
             for recorded in bag.messages(latched):
                 state = decode(recorded.topic.encode(), recorded.payload)
                 new_name = names[recorded.topic]
@@ -219,7 +215,7 @@ class Player(SourceNode[PlayerSettings]):
         and reconstructions are; they are looked for until each stream has passed the last frame.
         """
         frame_ns = self._frame_ns
-
+        # Without a bound, a stream that has ended early would be waited for to the end of the file.
         behind = {self._names[topic] for topic in self._streams}
         for _ in range(MAX_STAMPS):
             message = self._next
@@ -240,9 +236,8 @@ class Player(SourceNode[PlayerSettings]):
             case "faster" | "slower":
                 factor = 1.1 if name == "faster" else 1 / 1.1
                 rate = self._schedule.rate * factor
-                return self._change_rate(
-                    min(max(rate, LOWEST_RATE), HIGHEST_RATE), now_ns
-                )
+                rate = min(max(rate, LOWEST_RATE), HIGHEST_RATE)
+                return self._change_rate(rate, now_ns)
             case "rate":
                 rate = _number("rate", value, LOWEST_RATE, HIGHEST_RATE)
                 return self._change_rate(rate, now_ns)
@@ -262,7 +257,6 @@ class Player(SourceNode[PlayerSettings]):
 
     def state(self) -> dict[str, Any]:
         """Pause, rate, and position in recorded seconds."""
-
         # Stamps of a loop are shifted: the position is that within the recording.
         position_ns = self._stop_ns
         if self._next is not None:
@@ -285,6 +279,7 @@ class Player(SourceNode[PlayerSettings]):
         if self.exhausted:
             raise RefusedError("seek: the recording has been played to its end")
 
+        # Reading from there begins without the shift of a loop; a seek that fails keeps it.
         shift_ns = self._shift_ns
         messages = self._read(stamp_ns)
         message = next(messages, None)
@@ -327,14 +322,16 @@ class Player(SourceNode[PlayerSettings]):
             self._shift_ns = shift_ns
             n_read = 0
             for recorded in self._bag.messages(self._names, from_ns, self._stop_ns):
+                # These states were published before.
                 latched = recorded.topic in self._states
                 if latched and recorded.stamp_ns <= from_ns:
-                    continue  # published before
+                    continue
                 message = self._decoded(recorded.topic, recorded.payload)
                 n_read += not latched
                 if shift_ns:
                     message = message.moved(shift_ns)
                 yield message
+            # A loop over nothing would never yield.
             if not (self.settings.loop and n_read):
                 return
 
@@ -364,6 +361,7 @@ class Player(SourceNode[PlayerSettings]):
         """The message with the time of playing as its stamp, the same for all of a frame."""
         if self.settings.keep_stamps:
             return message
+        # The first message of a frame sets the stamp of all; the oldest frame is forgotten.
         if message.stamp_ns not in self._stamps:
             if len(self._stamps) >= MAX_STAMPS:
                 del self._stamps[next(iter(self._stamps))]
@@ -403,9 +401,8 @@ def renamed_topics(settings: PlayerSettings) -> dict[str, str]:
 
     for pair in settings.remap:
         old, new = (side.strip().rstrip("/") for side in pair.split(":="))
-        matching = [
-            topic for topic in topics if topic == old or topic.startswith(old + "/")
-        ]
+        # With a slash: "/skin" is no beginning of "/skin_x".
+        matching = [topic for topic in topics if f"{topic}/".startswith(f"{old}/")]
         if not matching:
             raise SettingsError(f"remap: {old}: not in the file{_known(topics)}")
         for topic in matching:
@@ -423,15 +420,16 @@ def _known(topics: Iterable[str]) -> str:
 def _of_schemas(recorded: Iterable[str], settings: PlayerSettings) -> list[str]:
     """Topics of the chosen schemas; the truth may be missing, as for real skins."""
     patches = dict.fromkeys(split_topic(topic)[0] for topic in recorded)
-    topics = [
-        topic_of(patch, schema) for patch in patches for schema in settings.schemas
-    ]
-    for topic in topics:
-        if topic not in recorded and split_topic(topic)[1] != Truth.schema:
-            place = f"{settings.file}, which has {', '.join(sorted(recorded))}"
-            raise SettingsError(
-                f"schemas: {topic}: not in {place}; record it with them"
-            )
+    topics = []
+    for patch in patches:
+        for schema in settings.schemas:
+            topic = topic_of(patch, schema)
+            topics.append(topic)
+            if topic not in recorded and schema != Truth.schema:
+                place = f"{settings.file}, which has {', '.join(sorted(recorded))}"
+                raise SettingsError(
+                    f"schemas: {topic}: not in {place}; record it with them"
+                )
     return topics
 
 

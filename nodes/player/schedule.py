@@ -15,7 +15,8 @@ class Schedule:
         self.rate = rate
         self.paused = paused
         self._first_ns = first_ns
-        self._t0_ns = sys.maxsize  # it has not begun
+        # Nothing is due before it begins.
+        self._t0_ns = sys.maxsize
         self._position_ns = first_ns
         self._steps = 0
 

@@ -38,7 +38,8 @@ def watch_parent(parent: int) -> None:
     def watch() -> None:
         while os.getppid() == parent:
             time.sleep(PARENT_CHECK_S)
-        time.sleep(PARENT_CHECK_S)  # the main thread notices first, and ends in order
+        # The main thread notices first, and ends in order, unless it is blocked.
+        time.sleep(PARENT_CHECK_S)
         os._exit(1)
 
     threading.Thread(target=watch, daemon=True, name="watch-parent").start()
@@ -74,7 +75,10 @@ class Connection:
         except OSError:
             return None
         *lines, self._rest = (self._rest + chunk).split(b"\n")
-        return None if not chunk or len(self._rest) > self._max_line_bytes else lines
+        # A line without an end would fill the memory.
+        if not chunk or len(self._rest) > self._max_line_bytes:
+            return None
+        return lines
 
     def send(self, fields: Mapping[str, Any]) -> bool:
         """Send one object; False as for `flush`."""
@@ -100,17 +104,18 @@ class Control(Connection):
     """
 
     def __init__(self, fd: int = 0) -> None:
+        # The number of stdin stays taken: another file would be read as such.
         super().__init__(socket.socket(fileno=os.dup(fd) if fd == 0 else fd))
         self.closed = False
         self._lock = threading.Lock()
 
     def emit(self, event: str, **fields: Any) -> None:
         """Send an event, and wait until it is sent."""
+        line = json.dumps({"event": event, **fields}).encode() + b"\n"
         try:
-            with self._lock:  # a node may have threads of its own
-                self.connection.sendall(
-                    json.dumps({"event": event, **fields}).encode() + b"\n"
-                )
+            # A node may have threads of its own.
+            with self._lock:
+                self.connection.sendall(line)
         except OSError:
             self.closed = True
 
@@ -127,21 +132,23 @@ class ControlClient(Connection):
     """
 
     def __init__(self, path: str) -> None:
-        made = socket.socket(socket.AF_UNIX)
+        connection = socket.socket(socket.AF_UNIX)
         try:
-            made.connect(path)
+            connection.connect(path)
         except OSError as error:
-            made.close()
+            connection.close()
             raise SparseskinError(
                 f"{path}: no graph listens there: {error.strerror}"
             ) from error
-        super().__init__(made)
+        super().__init__(connection)
 
     def receive(self) -> list[dict[str, Any]] | None:
         """The objects that have arrived; None once the graph is gone."""
         self.flush()
         lines = self.lines()
-        return None if lines is None else [json.loads(line) for line in lines]
+        if lines is None:
+            return None
+        return [json.loads(line) for line in lines]
 
     def close(self) -> None:
         self.connection.close()

@@ -49,7 +49,8 @@ class Loop:
         channels = self._channels()
         for control, config, log in channels:
             self.control = control
-            sys.stdout = sys.stderr = log  # prints of a driver leave line by line
+            # Prints of a driver go to the log of its node, line by line.
+            sys.stdout = sys.stderr = log
             self._runners.append(Runner(control, config, log))
         if not self._runners:
             return
@@ -85,16 +86,19 @@ class Loop:
             config = self._configuration()
             if config is None:
                 return []
-            channels.append((self.control, config, os.fdopen(log_fd, "w", buffering=1)))
+            log = os.fdopen(log_fd, "w", buffering=1)
+            channels.append((self.control, config, log))
         return channels
 
     def _configuration(self) -> dict[str, Any] | None:
         """The first line of a channel; None if the launcher has ended."""
-        while not (commands := self.control.commands()):
+        while True:
+            commands = self.control.commands()
+            if commands:
+                return commands[0]
             if self.control.closed:
                 return None
             select.select([self.control.connection], [], [], POLL_MS / 1000)
-        return commands[0]
 
     def _open_sockets(self) -> zmq.Context[zmq.Socket[bytes]]:
         """Open the sockets of all nodes, in one context; they are scheduled alike."""
@@ -102,9 +106,8 @@ class Loop:
         # Nodes have been made before: no solver is compiled with real-time priority.
         with first.scheduling.applied():
             context = make_context()
-            if (
-                first.scheduling.priority
-            ):  # what comes and goes is never behind the nodes' work
+            # Above the nodes: what comes and goes never waits for their work.
+            if first.scheduling.priority:
                 context.set(zmq.THREAD_PRIORITY, first.scheduling.priority + 1)
             self._turn_to(first)
             first.open(context, self._poller)
@@ -138,11 +141,12 @@ class Loop:
         timeout_ms = waiting_ms(left_ns) if caught_up else 0
 
         ready: dict[Any, int] = dict(self._poller.poll(timeout_ms))
+        # Less than a millisecond of the wait is left.
         if timeout_ms == 0 and caught_up and left_ns > 0 and not ready:
             time.sleep(left_ns / 1e9)
             return ready
 
-        # No node waits for the frames of another.
+        # Messages of a frame are read together; but no node waits for the frames of another.
         patience_s = min(runner.patience_s for runner in self._runners)
         if patience_s and caught_up and ready:
             time.sleep(patience_s)

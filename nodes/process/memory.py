@@ -21,8 +21,10 @@ class FreeMemory:
     """
 
     def __init__(self) -> None:
-        self._least, self._n_calls = math.inf, 0
-        self._trim = getattr(ctypes.CDLL(None), "malloc_trim", None)  # of glibc
+        self._least_bytes = math.inf
+        self._n_calls = 0
+        # Of glibc alone.
+        self._trim = getattr(ctypes.CDLL(None), "malloc_trim", None)
 
     def trim(self) -> None:
         """Trim at the 20th call, and at every 20th where resident memory is above its minimum; to
@@ -31,9 +33,10 @@ class FreeMemory:
         self._n_calls += 1
         if self._trim is None or self._n_calls % EVERY:
             return
-        with contextlib.suppress(OSError):  # no descriptor is free
+        # Where no descriptor is free, /proc cannot be read.
+        with contextlib.suppress(OSError):
             resident = resident_bytes(os.getpid())
-            if self._n_calls == EVERY or resident > self._least + GROWN_BYTES:
+            if self._n_calls == EVERY or resident > self._least_bytes + GROWN_BYTES:
                 self._trim(0)
                 resident = resident_bytes(os.getpid())
-            self._least = min(self._least, resident)
+            self._least_bytes = min(self._least_bytes, resident)

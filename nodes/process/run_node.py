@@ -12,7 +12,8 @@ import sys
 
 def main() -> int:
     """Entry point of a node process."""
-    gc.disable()  # until the nodes have started: what is imported stays anyway
+    # Until the nodes have started: what is imported stays anyway.
+    gc.disable()
     import zmq
 
     from sparseskin.nodes.errors import SparseskinError

@@ -61,7 +61,8 @@ class Runner:
         self.host = self._make_host(config)
         self.streams = frozenset(topic.encode() for topic in self.host.streams)
         self.host.raised = lambda error: control.emit("raised", trace=trace_of(error))
-        if tally := config.get("tally"):
+        tally = config.get("tally")
+        if tally:
             self.host.published = Tally(*tally).set
 
         self.expected = set(config["readers"])
@@ -73,13 +74,19 @@ class Runner:
 
     def _make_host(self, config: dict[str, Any]) -> NodeHost:
         """Make the node, with a run id of its own."""
-        if folder := config.get("folder"):
+        folder = config.get("folder")
+        if folder:
             search_in(folder)
         cls = node_class(config["type"])
         settings = cls.Settings.from_mapping(config["settings"])
         late = bool(config.get("late"))
         context = Context(
-            *(self.name, self.clock, self.log, self._ask, late),
+            self.name,
+            self.clock,
+            self.log,
+            self._ask,
+            late,
+            # The network is there once the sockets are open: a node is made before.
             clock_of=lambda topic: self.network.clock_of(topic),
             page_token=config.get("page_token", ""),
             page_file=config.get("page_file", ""),
@@ -98,7 +105,8 @@ class Runner:
         """Set the state of a node that has neither sockets nor readers yet."""
         self.reader: Reader | None = None
         self.client: ControlClient | None = None
-        self.client_lock = threading.Lock()  # a node may have threads of its own
+        # A node may ask from threads of its own, as those of a page.
+        self.client_lock = threading.Lock()
         self.connected = False
         self.ready = False
         self.started = False
@@ -108,6 +116,8 @@ class Runner:
         self.end_reported = False
         self.failed = False
         self.terminated = False
+        # Asks of this node that its readers have not answered; and those of its writers, each with
+        # the ask of its own that has to be answered first.
         self.asks: deque[int] = deque()
         self.unanswered: deque[tuple[int, bytes]] = deque()
         self.caught_up = True
@@ -135,9 +145,11 @@ class Runner:
         )
         self.writer = self.network.writer
         poller.register(self.control.connection.fileno(), zmq.POLLIN)
+        # Memory is that of the process: one of its nodes returns what is free.
         if first is None:
             self.memory = FreeMemory()
-        if path := config.get("control"):
+        path = config.get("control")
+        if path:
             self.client = ControlClient(path)
             self.client.send({"watch": True})
             poller.register(self.client.connection.fileno(), zmq.POLLIN)
@@ -151,7 +163,8 @@ class Runner:
         """Pass the state of the graph, and answers, on to the node."""
         with self.client_lock:
             news = client.receive()
-            if news is None:  # the launcher has ended
+            # The launcher has ended.
+            if news is None:
                 self.network.poller.unregister(client.connection.fileno())
                 client.close()
                 self.client = None
@@ -168,9 +181,8 @@ class Runner:
 
     def serve(self, ready: Container[Any]) -> None:
         """Do all that is to be done now; `ready` are the sockets and files that can be read."""
-        if (
-            self.writer.socket in ready
-        ):  # the states for a new reader come before frames
+        # The states for a new reader come before frames.
+        if self.writer.socket in ready:
             self.writer.serve_subscriptions()
         if self.reader is not None and self._has_waiting(self.reader, ready):
             self._receive(self.reader)
@@ -184,13 +196,17 @@ class Runner:
             self._publish(self.host.finish(max(0, self.last_stamp_ns)))
         self.network.serve()
         if self.host.is_source:
-            for _ in _batch():
-                left_ns = self.left_ns()
-                if left_ns is None or left_ns > 0:
-                    break
-                self._tick()
+            self._tick_while_due()
         self.host.idle()
         self._report()
+
+    def _tick_while_due(self) -> None:
+        # Asked again after each tick: its readers may set the pace.
+        for _ in _batch():
+            due_in_ns = self.left_ns()
+            if due_in_ns is None or due_in_ns > 0:
+                return
+            self._tick()
 
     def _has_waiting(self, reader: Reader, ready: Container[Any]) -> bool:
         """True if messages wait; those of a companion may have come since the loop has looked."""
@@ -228,8 +244,10 @@ class Runner:
     @property
     def _source(self) -> SourceNode[Any] | None:
         """The node, if it is a source that may tick."""
-        node, may_tick = self.host.node, self.started and not self.host.finished
-        return node if may_tick and isinstance(node, SourceNode) else None
+        node = self.host.node
+        if isinstance(node, SourceNode) and self.started and not self.host.finished:
+            return node
+        return None
 
     def left_ns(self) -> int | None:
         """Time until the next tick; None if an event must come first."""
@@ -238,13 +256,17 @@ class Runner:
             return None
         while self.asks and not self.writer.awaits(self.asks[0]):
             self.asks.popleft()
-        if len(self.asks) >= (source.window if self.begun else 1):
+        # The first ask is that of the states: no frame comes before it is answered.
+        window = source.window if self.begun else 1
+        if len(self.asks) >= window:
             return None
         if not self.begun:
             source.begin(self.clock.now_ns())
             self.begun = True
         due_ns = source.next_tick_ns()
-        return None if due_ns is None else due_ns - self.clock.now_ns()
+        if due_ns is None:
+            return None
+        return due_ns - self.clock.now_ns()
 
     def _execute_commands(self) -> None:
         for command in self.control.commands():
@@ -264,29 +286,35 @@ class Runner:
                     self._command(name, command.get("value"), command.get("id"))
 
     def _command(self, name: str, value: Any, number: str | None) -> None:
-        """Execute a command of an operator and answer it."""
+        """Execute a command of an operator, and answer it where it has a number."""
         node = self.host.node
+        done = False
         try:
-            if name == "set":
-                self._publish(self.host.change(value))
-                text = ", ".join(
-                    f"{key} = {json.dumps(v)}"
-                    if v is not None
-                    else f"{key} is no longer stated"
-                    for key, v in value.items()
-                )
-            else:
-                text = node.command(name, value)
+            text = self._executed(name, value)
             done = True
         except SparseskinError as error:
-            done, text = False, str(error)
-        except Exception as error:  # a user's own solver may raise anything
-            done, text = False, one_line(error)
+            text = str(error)
+        # A user's own solver may raise anything.
+        except Exception as error:
+            text = one_line(error)
         if number is not None:
-            now = {"settings": node.settings.live_values(), "state": node.state()}
-            self.control.emit("answer", id=number, done=done, text=text, **now)
+            state = {"settings": node.settings.live_values(), "state": node.state()}
+            self.control.emit("answer", id=number, done=done, text=text, **state)
         elif not done:
             self.log(text)
+
+    def _executed(self, name: str, value: Any) -> str:
+        """Result of a command in words."""
+        if name != "set":
+            return self.host.node.command(name, value)
+        self._publish(self.host.change(value))
+        changes = []
+        for key, changed in value.items():
+            change = f"{key} = {json.dumps(changed)}"
+            if changed is None:
+                change = f"{key} is no longer stated"
+            changes.append(change)
+        return ", ".join(changes)
 
     def _connect(self, peers: list[Peer]) -> None:
         """Connect to writers; those on other hosts are named once this node is ready."""
@@ -306,7 +334,10 @@ class Runner:
             topic, payload, overtaken = waiting
             if not reader.is_ask(topic):
                 self._publish(self.host.receive_bytes(topic, payload, overtaken))
-            elif not self.network.take_time(note := bytes(payload)):
+                continue
+            note = bytes(payload)
+            # An ask is passed on: it is answered once the readers of this node have answered.
+            if not self.network.take_time(note):
                 self.asked = True
                 self.unanswered.append((self.writer.ask(), note))
 
@@ -317,15 +348,16 @@ class Runner:
             self.reader.answer(self.unanswered.popleft()[1])
 
     def _tick(self) -> None:
+        # Stamps name frames: they increase, even where the clock does not.
         stamp_ns = max(self.clock.now_ns(), self.last_stamp_ns + 1)
         self.last_stamp_ns = stamp_ns
         n_sent = self._publish(self.host.tick(Tick(stamp_ns, self.n_ticks)))
         node = self.host.node
-        if isinstance(node, SourceNode) and not node.acquired:
+        assert isinstance(node, SourceNode)
+        if not node.acquired:
             return
-        exhausted = isinstance(node, SourceNode) and node.exhausted
         # A driver may end at a tick that has no frame any more.
-        self.n_ticks += not exhausted or n_sent > len(self.host.ends)
+        self.n_ticks += not node.exhausted or n_sent > len(self.host.ends)
         source = self._source
         if source is not None and source.follows_readers:
             self.asks.append(self.writer.ask())
@@ -333,7 +365,7 @@ class Runner:
             return
         if self.n_ticks >= self.max_frames:
             self._publish(self.host.finish_frames(stamp_ns))
-        elif exhausted:
+        elif node.exhausted:
             self.log(
                 f"the source ended after {self.n_ticks} of the {self.max_frames} frames"
             )
@@ -359,11 +391,10 @@ class Runner:
             # Where readers are far behind, an end can be dropped too: it is repeated.
             self._publish(self.host.ends)
             self.network.end_repeated()
+            lacks = [] if self.ready else sorted(self.expected - self.writer.present)
             self.control.emit(
                 "heartbeat",
-                lacks=sorted(self.expected - self.writer.present)
-                if not self.ready
-                else [],
+                lacks=lacks,
                 line=self.host.node.status(),
                 state=self.host.node.state(),
                 refusal=self.host.refusal,
@@ -391,8 +422,8 @@ class Runner:
 
 def _batch() -> Iterator[int]:
     """Count messages or ticks, to `BATCH` or until `BATCH_NS` are over."""
-    last_ns = time.monotonic_ns() + BATCH_NS
+    end_ns = time.monotonic_ns() + BATCH_NS
     for k in range(BATCH):
         yield k
-        if time.monotonic_ns() >= last_ns:
+        if time.monotonic_ns() >= end_ns:
             return

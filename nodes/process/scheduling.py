@@ -37,21 +37,23 @@ class Scheduling(Settings):
 
     def check_permitted(self) -> None:
         """Raise SettingsError, which begins with the key, if this process must not run so."""
-        here = os.sched_getaffinity(0)
-        if away := sorted(set(self.cpus) - here):
-            text = f"CPU {away[0]} is not there for this process"
-            raise SettingsError(
-                f"cpus: {text} (allowed: {', '.join(map(str, sorted(here)))})"
-            )
+        permitted = os.sched_getaffinity(0)
+        missing = sorted(set(self.cpus) - permitted)
+        if missing:
+            text = f"CPU {missing[0]} is not there for this process"
+            allowed = ", ".join(map(str, sorted(permitted)))
+            raise SettingsError(f"cpus: {text} (allowed: {allowed})")
         if not self.priority:
             return
-        policy, parameters = os.sched_getscheduler(0), os.sched_getparam(0)
+
+        # The kernel alone knows what it permits: the largest priority is tried, and taken back.
+        policy = os.sched_getscheduler(0)
+        parameters = os.sched_getparam(0)
+        highest = self.priority + 1
         try:
-            os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(self.priority + 1))
+            os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(highest))
         except PermissionError as error:
-            limit = (
-                f"a limit rtprio of {self.priority + 1} or more, as in limits.conf(5)"
-            )
+            limit = f"a limit rtprio of {highest} or more, as in limits.conf(5)"
             text = f"{self.priority} is not permitted to this user (allowed: 0; or {limit})"
             raise SettingsError(f"priority: {text}") from error
         finally:
@@ -63,6 +65,7 @@ class Scheduling(Settings):
         start after it have no priority: a thread that serves a page must not hold up frames.
         Raises OSError if it is not permitted.
         """
+        # Threads that run already, as those of numpy, keep their own CPUs unless each is moved.
         if self.cpus:
             for thread in os.listdir("/proc/self/task"):
                 os.sched_setaffinity(int(thread), self.cpus)

@@ -18,6 +18,7 @@ class Tally:
         self.fd = os.memfd_create("tally") if fd is None else fd
         size = _COUNT.size * len(topics)
         os.ftruncate(self.fd, size)
+        # No byte can be mapped of an empty file.
         self._numbers = mmap.mmap(self.fd, size) if size else None
 
     def set(self, topic: str, n: int) -> None:
@@ -37,7 +38,8 @@ class Tally:
     def counts(self) -> dict[str, int]:
         """Number of messages of each topic that has some."""
         content = os.pread(self.fd, _COUNT.size * len(self._topics), 0)
-        numbers = _COUNT.iter_unpack(content)
-        return {
-            topic: n for topic, (n,) in zip(self._topics, numbers, strict=True) if n
-        }
+        counts = {}
+        for topic, (n,) in zip(self._topics, _COUNT.iter_unpack(content), strict=True):
+            if n:
+                counts[topic] = n
+        return counts

@@ -42,8 +42,11 @@ class Costs(NamedTuple):
 
     def steps_in(self, budget_s: float, most: int) -> int:
         """Number of steps that fit into a budget, at most `most`, at least `LEAST_STEPS`."""
-        fit = int((budget_s - self.frame_s) / self.step_s) if self.step_s > 0 else most
-        return min(max(fit, LEAST_STEPS), most)
+        # A coarse clock may show no time for a step.
+        if self.step_s <= 0:
+            return most
+        n_fitting = int((budget_s - self.frame_s) / self.step_s)
+        return min(max(n_fitting, LEAST_STEPS), most)
 
 
 class TileCosts(NamedTuple):
@@ -74,22 +77,26 @@ def steps_within(
     A solver that has paces uses the largest one that fits: of few, hosts that differ a little
     choose the same one. A solver that counts tiles does more where few are pressed.
     """
-    paces = getattr(solver, "paces", ())
     if isinstance(solver, CountsTiles):
         return _steps_of_tiles(solver, phi, f_max, budget_s)
     costs = measured_costs(solver, phi, f_max)
+    paces = getattr(solver, "paces", ())
+    if not paces:
+        n_steps = costs.steps_in(budget_s, solver.n_steps)
+        return n_steps, costs.of(n_steps)
+    # What a step takes may depend on their number: each pace is timed anew.
     fewer = [pace for pace in paces if pace < solver.n_steps]
     while fewer and costs.of(solver.n_steps) > budget_s:
         solver.use_pace(fewer.pop())
         costs = measured_costs(solver, phi, f_max, 1)
-    steps = solver.n_steps if paces else costs.steps_in(budget_s, solver.n_steps)
-    return steps, costs.of(steps)
+    return solver.n_steps, costs.of(solver.n_steps)
 
 
 def _steps_of_tiles(
     solver: CountsTiles, phi: Phi, f_max: float, budget_s: float
 ) -> tuple[int, float]:
     """As `steps_within`, of a solver that counts tiles."""
+    # 0: while it is timed, a frame has all its steps.
     solver.use_times(0, 0)
     costs = tile_costs(solver, phi, f_max)
     n_steps = solver.n_steps
@@ -107,28 +114,32 @@ def tile_costs(solver: CountsTiles, phi: Phi, f_max: float) -> TileCosts:
     """
     rng = np.random.default_rng(0)
     n_steps = solver.n_steps
-    fewer = max(n_steps // 3, 1)
+    n_fewer = max(n_steps // 3, 1)
     pressed = phi.forward(rng.uniform(0, f_max, (N_OF_TILES, phi.n)).astype(np.float32))
     untouched = np.zeros(phi.m, dtype=np.float32)
 
     # In turn: what else runs on the host slows down all of them.
-    least_s = [math.inf, math.inf, math.inf]
+    fewer_s = math.inf
+    untouched_s = math.inf
+    pressed_s = math.inf
     n_tiles = 0
     begin_s = time.perf_counter()
     for k, y in enumerate(pressed):
-        cases = (untouched, fewer), (untouched, n_steps), (y, n_steps)
-        times_s = [_time_of(solver, phi, *case) for case in cases]
-        if times_s[2] < least_s[2]:
+        fewer_s = min(fewer_s, _time_of(solver, phi, untouched, n_fewer))
+        untouched_s = min(untouched_s, _time_of(solver, phi, untouched, n_steps))
+        frame_s = _time_of(solver, phi, y, n_steps)
+        if frame_s < pressed_s:
+            pressed_s = frame_s
             n_tiles = solver.n_tiles
-        least_s = [min(pair) for pair in zip(least_s, times_s, strict=True)]
         if k >= N_FIRST and time.perf_counter() > begin_s + ENOUGH_S:
             break
     solver.reset()
 
     # Frames of fewer steps have some others, by a formula, before them.
-    fewer_s, untouched_s, pressed_s = least_s
-    n_more = n_steps - fewer - (N_FORMULA if fewer < CONVERGED <= n_steps else 0)
-    step_s = max(untouched_s - fewer_s, 0.0) / max(n_more, 1)
+    n_between = n_steps - n_fewer
+    if n_fewer < CONVERGED <= n_steps:
+        n_between -= N_FORMULA
+    step_s = max(untouched_s - fewer_s, 0.0) / max(n_between, 1)
     tile_s = max(pressed_s - untouched_s, LEAST_S) / max(n_tiles, 1)
     return TileCosts(max(untouched_s - n_steps * step_s, 0.0), step_s, tile_s)
 
@@ -152,25 +163,27 @@ def measured_costs(
     Of each time the least of all frames counts: what else runs on the host only adds to it.
     """
     rng = np.random.default_rng(0)
-    frames: list[float] = []
-    steps: list[float] = []
+    least_frame_s = math.inf
+    least_step_s = math.inf
     begin_s = time.perf_counter()
     for k in range(n_first + N_TIMED):
         y = phi.forward(rng.uniform(0, f_max, phi.n).astype(np.float32))
         if getattr(solver, "subsets", ()):
             solver.use(phi)
-        times = [time.perf_counter()]
+        setup_s = time.perf_counter()
         solver.setup(y)
-        times.append(time.perf_counter())
+        steps_s = time.perf_counter()
         for _ in range(solver.n_steps):
             solver.step()
-        times.append(time.perf_counter())
+        finish_s = time.perf_counter()
         solver.finish()
-        times.append(time.perf_counter())
-        if k >= n_first:
-            frames.append(times[1] - times[0] + times[3] - times[2])
-            steps.append((times[2] - times[1]) / max(solver.n_steps, 1))
-            if times[-1] > begin_s + ENOUGH_S:
-                break
+        end_s = time.perf_counter()
+        if k < n_first:
+            continue
+        least_frame_s = min(least_frame_s, steps_s - setup_s + end_s - finish_s)
+        step_s = (finish_s - steps_s) / max(solver.n_steps, 1)
+        least_step_s = min(least_step_s, step_s)
+        if end_s > begin_s + ENOUGH_S:
+            break
     solver.reset()
-    return Costs(min(frames), min(steps))
+    return Costs(least_frame_s, least_step_s)

@@ -41,12 +41,12 @@ class Tracks:
         self.ids = ids
         self.state = state
         self.age_s, self.over, self.sliding = state[:3]
-        self.velocities, self.places = state[3:].reshape(
-            2, len(state) // 2 - 1, len(ids)
-        )
+        # As many velocities as places: the rest of the rows in two halves.
+        self.velocities, self.places = np.split(state[3:], 2)
 
     def of(self, ids: list[int], places: Doubles) -> Tracks:
         """Contacts of other ids; those that are not among these begin now, at some places."""
+        # As in nearly all frames.
         if ids == self.ids:
             return self
         tracks = Tracks(ids, np.zeros((3 + 2 * len(places), len(ids))))
@@ -120,10 +120,8 @@ class ContactTracker:
     def fits(self, skin: SkinState) -> bool:
         """True if it follows contacts on the taxels of that skin."""
         theirs = vars(skin.skin)
-        return all(
-            np.array_equal(value, theirs[name])
-            for name, value in vars(self._skin).items()
-        )
+        ours = vars(self._skin)
+        return all(np.array_equal(ours[name], theirs[name]) for name in ours)
 
     def set_noise(self, skin: SkinState) -> None:
         """Take the stated noise of a skin as the least unit of the thresholds."""
@@ -196,18 +194,16 @@ class ContactTracker:
         earlier = self._tracks
         # Sums are total, area, peak; then row, column, and x, y, z where the skin has places.
         places = regions.sums[3 : min(8, len(regions.sums) // 2 + 1)]
-        ids = self._ids(regions, places) if earlier.ids else [0] * places.shape[1]
+        ids = self._ids(regions, places)
         for k, contact_id in enumerate(ids):
             if not contact_id:
                 self._last_id += 1
                 ids[k] = self._last_id
-        events = [
-            (contact_id, BEGIN) for contact_id in ids if contact_id not in earlier.ids
-        ]
-        events += [
-            (contact_id, END) for contact_id in earlier.ids if contact_id not in ids
-        ]
+        # A part that leaves a merged contact begins again, too.
+        events = [(begun, BEGIN) for begun in ids if begun not in earlier.ids]
+        events += [(ended, END) for ended in earlier.ids if ended not in ids]
 
+        # A recording that is played again may go back in time: no contact gets younger.
         earlier.age_s += max(0.0, elapsed_s)
         tracks = earlier.of(ids, places)
         self._tracks = tracks
@@ -216,14 +212,14 @@ class ContactTracker:
         if not math.isinf(limits.over):
             begins = _switch(tracks.over, regions.sums[0], limits.over)
             events += [(ids[k], OVER) for k in begins]
+        # The last three velocities are in mm/s; without a pitch there are two, in taxels/s.
         if not math.isinf(limits.slide):
             speeds = np.linalg.norm(tracks.velocities[-3:], axis=0)
             begins = _switch(tracks.sliding, speeds, limits.slide)
             events += [(ids[k], SLIDE) for k in begins]
 
-        self._apart = {
-            merged: parts for merged, parts in self._apart.items() if merged in ids
-        }
+        for merged in self._apart.keys() - set(ids):
+            del self._apart[merged]
         return Followed(self._fields(regions.sums), events)
 
     def rest(self, until_ns: int) -> None:
@@ -246,15 +242,11 @@ class ContactTracker:
         """Ids of the contacts of a frame; 0: a new one."""
         tracks = self._tracks
         ids = [0] * places.shape[1]
+        if not tracks.ids:
+            return ids
 
         # Contacts and earlier ones that overlap, which is one to one in nearly all frames.
-        rows = regions.overlap.tolist()
-        pairs = [
-            (k, q)
-            for k, row in enumerate(rows)
-            for q, n_cells in enumerate(row)
-            if n_cells
-        ]
+        pairs = np.argwhere(regions.overlap).tolist()
         overlapping = {k for k, _ in pairs}
         overlapped = {q for _, q in pairs}
         if len(overlapping) == len(overlapped) == len(pairs):
@@ -264,11 +256,10 @@ class ContactTracker:
             self._meet_and_part(regions.overlap, ids, places)
 
         # Fast ones overlap with none: the nearest ones are the same contact.
-        alone = [k for k, row in enumerate(rows) if not (ids[k] or any(row))]
+        alone = [k for k in range(len(ids)) if k not in overlapping]
         gone = [q for q in range(len(tracks.ids)) if q not in overlapped]
-        for k, q, distance in _nearest(
-            alone, places, [tracks.places[:2, q] for q in gone]
-        ):
+        spots = [tracks.places[:2, q] for q in gone]
+        for k, q, distance in _nearest(alone, places, spots):
             if distance <= GATE + math.sqrt(regions.sums[1, k]):
                 ids[k] = tracks.ids[gone[q]]
         return ids
@@ -279,27 +270,28 @@ class ContactTracker:
         for k, q in zip(*linear_sum_assignment(overlap, maximize=True), strict=True):
             ids[k] = tracks.ids[q] if overlap[k, q] else 0
 
+        # Contacts that had met part: the one that went on, and new ones where it was.
         for q, merged in enumerate(tracks.ids):
-            if merged in self._apart:
-                parts = [k for k, contact_id in enumerate(ids) if contact_id == merged]
-                parts += [
-                    k
-                    for k, contact_id in enumerate(ids)
-                    if not contact_id and overlap[k, q]
-                ]
-                if len(parts) > 1:
-                    self._part(merged, sorted(parts), ids, places)
+            if merged not in self._apart:
+                continue
+            parts = []
+            for k, contact_id in enumerate(ids):
+                if contact_id == merged or (not contact_id and overlap[k, q]):
+                    parts.append(k)
+            if len(parts) > 1:
+                self._part(merged, parts, ids, places)
 
+        # Others meet: one goes on, and keeps the places of both, and of those they had met.
         for q, met in enumerate(tracks.ids):
             into = int(overlap[:, q].argmax())
-            if met not in ids and overlap[into, q] and ids[into] in tracks.ids:
-                merged = ids[into]
-                places_of_parts = self._apart.setdefault(merged, {})
-                places_of_parts.setdefault(
-                    merged, tracks.places[:2, tracks.ids.index(merged)]
-                )
-                places_of_parts[met] = tracks.places[:2, q]
-                places_of_parts.update(self._apart.get(met, {}))
+            if met in ids or not overlap[into, q] or ids[into] not in tracks.ids:
+                continue
+            merged = ids[into]
+            place = tracks.places[:2, tracks.ids.index(merged)]
+            places_of_parts = self._apart.setdefault(merged, {})
+            places_of_parts.setdefault(merged, place)
+            places_of_parts[met] = tracks.places[:2, q]
+            places_of_parts.update(self._apart.get(met, {}))
 
     def _part(
         self, merged: int, parts: Sequence[int], ids: list[int], places: Doubles
@@ -307,47 +299,52 @@ class ContactTracker:
         """Give the parts of merged contacts the ids that were nearest to them before."""
         places_of_parts = self._apart[merged]
         ids_before = list(places_of_parts)
-        nearest = _nearest(parts, places, [*places_of_parts.values()])
+        nearest = _nearest(parts, places, list(places_of_parts.values()))
         for k in parts:
             ids[k] = 0
         for k, j, _ in nearest:
             ids[k] = ids_before[j]
             del places_of_parts[ids_before[j]]
+        # Of fewer than two that are still together, none can part.
         if merged in places_of_parts or len(places_of_parts) < 2:
             del self._apart[merged]
 
     def _fields(self, sums: Doubles) -> dict[str, Any]:
         """Fields of the message."""
-        k = len(sums) // 2 + 1  # standard deviations begin
-        j = len(sums)  # the state begins
+        # One conversion of all numbers: of a few contacts each call takes as long as the numbers.
+        n = len(sums)
         floats = np.concatenate([sums, self._tracks.state]).astype(np.float32)
-        switches = floats[j + 1 : j + 3] > 0
+        means = floats[3 : n // 2 + 1]
+        deviations = floats[n // 2 + 1 : n]
+        age_s, over, sliding = floats[n : n + 3]
+        velocities = floats[n + 3 :]
         fields: dict[str, Any] = {
             "id": np.array(self._tracks.ids, dtype=np.int32),
             "total": floats[0],
-            "total_sd": floats[k],
+            "total_sd": deviations[0],
             "peak": floats[2],
-            "centre": floats[3:5].T.copy(),
-            "centre_sd": floats[k + 1 : k + 3].T.copy(),
+            "centre": means[:2].T.copy(),
+            "centre_sd": deviations[1:3].T.copy(),
             "area": floats[1].astype(np.int32),
-            "velocity": floats[j + 3 : j + 5].T.copy(),
-            "age_s": floats[j],
-            "over": switches[0],
-            "sliding": switches[1],
+            "velocity": velocities[:2].T.copy(),
+            "age_s": age_s,
+            "over": over > 0,
+            "sliding": sliding > 0,
         }
-        if k > 5:
-            fields["place_mm"] = floats[5:8].T.copy()
-            fields["velocity_mm_s"] = floats[j + 5 : j + 8].T.copy()
-            fields["place_sd_mm"] = floats[k + 3 : k + 6].T.copy()
+        if len(means) > 2:
+            fields["place_mm"] = means[2:5].T.copy()
+            fields["velocity_mm_s"] = velocities[2:5].T.copy()
+            fields["place_sd_mm"] = deviations[3:6].T.copy()
         if self._cell_mm2:
             fields["area_mm2"] = floats[1] * self._cell_mm2
-        if k > 8:
-            fields["normal"] = floats[8:k].T.copy()
+        if len(means) > 5:
+            fields["normal"] = means[5:].T.copy()
         return fields
 
 
 def _move(tracks: Tracks, places: Doubles, elapsed_s: float) -> None:
     """Set the places of contacts, and let their velocities follow by a first-order filter."""
+    # Of the gain by elapsed time, so that they settle in as long at any rate of frames.
     if elapsed_s > 0:
         gain = 1 - math.exp(-elapsed_s / SMOOTHING_S)
         tracks.velocities *= 1 - gain
@@ -371,7 +368,8 @@ def _nearest(
 def _switch(state: Doubles, values: Doubles, limit: float) -> Iterator[int]:
     """Update the state of an event, with hysteresis; yield the contacts where it begins."""
     for k, (was, value) in enumerate(zip(state.tolist(), values.tolist(), strict=True)):
-        state[k] = value > (HELD * limit if was else limit)
+        bound = HELD * limit if was else limit
+        state[k] = value > bound
         if state[k] > was:
             yield k
 
@@ -391,21 +389,27 @@ NOTHING: dict[str, Any] = {
 
 def joined(followed: Sequence[Followed | None]) -> dict[str, Any]:
     """Fields of a `Contacts` of several patches, by their contacts, in the order of the patches."""
-    numbered = [(k, patch) for k, patch in enumerate(followed) if patch is not None]
-    touched = [(k, patch) for k, patch in numbered if patch.fields["id"].size]
+    numbers = []
+    touched = []
+    events = []
+    for k, patch in enumerate(followed):
+        if patch is None:
+            continue
+        events += [(k, *event) for event in patch.events]
+        n_contacts = patch.fields["id"].size
+        if n_contacts:
+            touched.append(patch.fields)
+            numbers += n_contacts * [k]
+
+    # That of one patch, the usual case, is not copied.
     fields = dict(NOTHING)
     if len(touched) == 1:
-        fields = dict(touched[0][1].fields)
+        fields = dict(touched[0])
     elif touched:
-        for name in touched[0][1].fields:
-            fields[name] = np.concatenate([patch.fields[name] for _, patch in touched])
-
+        for name in touched[0]:
+            fields[name] = np.concatenate([columns[name] for columns in touched])
     if len(followed) > 1:
-        numbers = [
-            np.full(patch.fields["id"].size, k, dtype=np.int32) for k, patch in touched
-        ]
-        fields["patch_of"] = np.concatenate([*numbers, np.zeros(0, dtype=np.int32)])
-    events = [(k, *event) for k, patch in numbered for event in patch.events]
+        fields["patch_of"] = np.array(numbers, dtype=np.int32)
     if events:
         fields["events"] = np.array(events, dtype=np.int32)
     return fields

@@ -46,9 +46,9 @@ class Limits:
 
     `low`, `high`: thresholds of a taxel in units of its error; a contact is made of neighbours
     above the low one, of which one exceeds the high one in two frames in a row, or `AT_ONCE` times
-    as much in one. `force`, `area`: least total, in
-    the skin's unit, and least number of taxels. `over`: total above which an event is reported.
-    `slide`: speed above which one is, mm/s, or taxels/s where no pitch is known.
+    as much in one. `force`, `area`: least total, in the skin's unit, and least number of taxels.
+    `over`: total above which an event is reported. `slide`: speed above which one is, mm/s, or
+    taxels/s where no pitch is known.
     """
 
     low: float = 2.0
@@ -85,6 +85,10 @@ class Features:
     labels: Indices
 
 
+Components = tuple[Indices, Indices, Doubles, Indices, int]
+"""What `components` returns."""
+
+
 class Found(NamedTuple):
     """Contacts of one frame: rows of `sums` as of `components`, with deviations in place of
     variances and unit normals; `overlap` with those of the frame before.
@@ -104,20 +108,9 @@ class ContactFinder:
 
     def __init__(self, skin: Skin, fast: str = "off") -> None:
         self._n_taxels = skin.n_taxels
-        cells = np.divmod(np.arange(skin.n_rows * skin.n_cols), skin.n_cols)
-        self._places = np.array(cells, dtype=np.float64)
+        self._places = _places_of(skin)
         self._alike = np.ones(self._places.shape[1], dtype=np.float32)
-        if skin.points is not None:
-            points = np.zeros((6, self._alike.size))
-            points[:, skin.exists.reshape(-1)] = skin.points.T
-            points[:3] *= 1e3
-            self._places = np.concatenate([self._places, points])
-        elif skin.pitch_m is not None:
-            flat = 1e3 * skin.pitch_m * self._places[::-1]
-            self._places = np.concatenate([self._places, flat, np.zeros_like(flat[:1])])
-        self._components: Callable[
-            ..., tuple[Indices, Indices, Doubles, Indices, int]
-        ] = components
+        self._components: Callable[..., Components] = components
         if use_compiled(fast):
             from sparseskin.nodes.numerics import kernels  # needs numba
 
@@ -153,13 +146,14 @@ class ContactFinder:
         n_before = self._n
         waiting = self._waiting
         self._waiting = None
+        # Nearly all frames of an untouched skin: nothing can begin, and nothing is there.
         if not n_before and float(forces.max()) <= high:
             return None
 
         forces = np.ascontiguousarray(forces, dtype=np.float32)
-        variances = (
-            self._alike if sd is None else np.square(sd, dtype=np.float32).reshape(-1)
-        )
+        variances = self._alike
+        if sd is not None:
+            variances = np.square(sd, dtype=np.float32).reshape(-1)
         index, labels, sums, overlap, n_above = self._components(
             forces,
             np.float32(limits.low * unit),
@@ -179,17 +173,21 @@ class ContactFinder:
         if not contacts:
             return None
 
-        # Variances become standard deviations, of which an error that all forces share adds to
-        # that of the total; then normals become unit vectors.
+        # Without `sd` the variances were 1: they become that of the error. That of a mean over the
+        # skin is larger in the taxels that are not 0, as the others have none.
         scale = 1.0
         if sd is None:
             share = self._n_taxels / n_above if is_mean else 1.0
             scale = SD_SCALE**2 * share * error**2
-        k = 3 + len(self._places)
-        np.sqrt(scale * sums[k:], out=sums[k:])
-        np.hypot(sums[k], common * sums[0], out=sums[k])
-        if k > 8:
-            sums[8:k] /= np.maximum(np.linalg.norm(sums[8:k], axis=0), 1e-12)
+        # Variances become standard deviations, of which an error that all forces share adds to
+        # that of the total; then normals become unit vectors.
+        variance_row = 3 + len(self._places)
+        deviations = sums[variance_row:]
+        np.sqrt(scale * deviations, out=deviations)
+        np.hypot(deviations[0], common * sums[0], out=deviations[0])
+        if variance_row > 8:
+            normals = sums[8:variance_row]
+            normals /= np.maximum(np.linalg.norm(normals, axis=0), 1e-12)
         return Found(sums, overlap)
 
     def expect(self) -> None:
@@ -213,6 +211,24 @@ class ContactFinder:
             self._waiting[index[np.isin(labels, candidates)]] = True
 
 
+def _places_of(skin: Skin) -> Doubles:
+    """Row and column of each cell; then x, y, z in mm, where they are known; then the normal, of a
+    skin of points.
+    """
+    cells = np.divmod(np.arange(skin.n_rows * skin.n_cols), skin.n_cols)
+    places = np.array(cells, dtype=np.float64)
+    if skin.points is not None:
+        points = np.zeros((6, places.shape[1]))
+        points[:, skin.exists.reshape(-1)] = skin.points.T
+        points[:3] *= 1e3
+        return np.concatenate([places, points])
+    if skin.pitch_m is not None:
+        # x runs along the columns, y along the rows.
+        x_y = 1e3 * skin.pitch_m * places[::-1]
+        return np.concatenate([places, x_y, np.zeros_like(x_y[:1])])
+    return places
+
+
 def _contacts_among(
     sums: Doubles, overlap: Indices, high: float, limits: Limits, waited: Set[int]
 ) -> tuple[list[int], list[int]]:
@@ -224,6 +240,7 @@ def _contacts_among(
     continued = {
         column.index(max(column)) for column in overlap.T.tolist() if any(column)
     }
+    # What goes on needs half of the force alone, so that a contact at the limit does not flicker.
     contacts = []
     candidates = []
     for component, (total, area, peak) in enumerate(sums[:3].T.tolist()):
@@ -245,7 +262,7 @@ def components(
     places: Doubles,
     regions: npt.NDArray[np.int32],
     n_regions: int,
-) -> tuple[Indices, Indices, Doubles, Indices, int]:
+) -> Components:
     """Connected components of the taxels above `low` of which one exceeds `high`, or lies in an
     earlier region, and their sums.
 
@@ -255,9 +272,8 @@ def components(
     component: total, area, peak, k centres, variance of the total, and by the delta method those of
     the centres; the numbers of taxels in each region, (n, n_regions); and that of all above `low`.
     """
-    from scipy import (
-        ndimage,
-    )  # half the time of the start of a process: only where it is used
+    # Half the time of the start of a process: it is imported only where it is used.
+    from scipy import ndimage
 
     grid, n = ndimage.label(forces > low, NEIGHBOURS)
     index = np.flatnonzero(grid)
@@ -265,7 +281,7 @@ def components(
     peak = np.zeros(n)
     np.maximum.at(peak, labels, forces.reshape(-1)[index])
 
-    # Components that are neither high enough nor in a region that is there are left out.
+    # Components that are neither high enough nor in an earlier region are left out.
     is_contact = (peak > high) | (np.bincount(labels, regions[index], n) > 0)
     number_of_component = np.cumsum(is_contact) - 1
     is_in_contact = is_contact[labels]
@@ -283,13 +299,14 @@ def components(
 
     total, area, variance = summed(np.stack([values, np.ones(index.size), of_each]))
     means = summed(values * places_of_taxels) / total
-    spread = summed(of_each * np.square(places_of_taxels - means[:, labels])) / total**2
+    squared_lever = np.square(places_of_taxels - means[:, labels])
+    spread = summed(of_each * squared_lever) / total**2
 
-    # Region 0 is none.
-    p = n_regions + 1
-    overlap = np.bincount(labels * p + regions[index], minlength=n * p).reshape(n, p)[
-        :, 1:
-    ]
+    # A column for each region, of which 0 is none.
+    n_columns = n_regions + 1
+    pairs = labels * n_columns + regions[index]
+    counts = np.bincount(pairs, minlength=n * n_columns)
+    overlap = counts.reshape(n, n_columns)[:, 1:]
     regions.fill(0)
     regions[index] = labels + 1
     sums = np.stack([total, area, peak, *means, variance, *spread])
@@ -347,6 +364,7 @@ def find_contacts(
     >>> found.total.tolist(), found.centre.tolist(), found.area.tolist()
     ([3.0], [[5.0, 8.5]], [6])
     """
+    # Not `>`: NaN is no force, either.
     forces = real_floats(forces, "find_contacts: forces", SolverError)
     is_frame = forces.ndim == 2 and bool((np.abs(forces) <= LARGEST).all())
     if not is_frame or not error > 0:
@@ -367,15 +385,20 @@ def find_contacts(
                 f"find_contacts: sd of shape {sd.shape}; allowed: 0 or more, of shape "
                 f"{forces.shape}, as the forces"
             )
+    # There is no second frame: each contact begins at once.
     forces = np.where(skin.exists, forces, np.float32(0))
     limits = Limits(low, high / AT_ONCE, force, area)
     finder = ContactFinder(skin)
     contacts = finder.find(forces, error, limits, is_mean=is_mean, sd=sd)
     sums = np.zeros((8, 0)) if contacts is None else contacts.sums
-    total, n_taxels, peak, _, _, total_sd, _, _ = sums
-    taxels = np.flatnonzero(finder.regions)
-    labels = finder.regions[taxels].astype(np.intp) - 1
-    centres = np.ascontiguousarray(sums[3:5].T), np.ascontiguousarray(sums[6:].T)
+    index = np.flatnonzero(finder.regions)
     return Features(
-        total, total_sd, peak, *centres, n_taxels.astype(np.intp), taxels, labels
+        total=sums[0],
+        total_sd=sums[5],
+        peak=sums[2],
+        centre=np.ascontiguousarray(sums[3:5].T),
+        centre_sd=np.ascontiguousarray(sums[6:].T),
+        area=sums[1].astype(np.intp),
+        index=index,
+        labels=finder.regions[index].astype(np.intp) - 1,
     )

@@ -19,17 +19,20 @@ from sparseskin.nodes.numerics.arrays import TINY, Mask
 
 from .solvers.base import solver_class, solver_fact
 
-#: A gradient step diverges beyond 2 / L, and with momentum beyond 4 / (3 L).
 MAX_STEP = 4.0 / 3.0
+"""Largest step, in 1 / L. Derived: a gradient step diverges beyond 2 / L, and with momentum beyond
+4 / (3 L)."""
 N_POWER_STEPS = 30
 PAD_SIDE = 8
 N_PADS = 256
+"""Taxels along the side of a pad, and number of pads whose measurements are compared. Chosen."""
 OTHER_ROWS = (
     "preset = paper: the rows of Phi are not those of the paper; advised for its exact method: "
     "compressor.rows = paper"
 )
 """Warning where preset `paper` reconstructs other rows of "sbhe"."""
 MAX_PAD_SPREAD = 1.75
+"""Largest spread of the energy that pads are measured with, as of `pad_spread`."""
 
 
 def reconstruction_warnings(
@@ -126,16 +129,17 @@ def check_phi(phi: Phi, mask: Mask) -> list[str]:
     rng = np.random.default_rng(0)
     x = rng.standard_normal(phi.n).astype(np.float32)
     y = rng.standard_normal(phi.m).astype(np.float32)
+    # Dot test: <Phi x, y> = <x, Phi^T y>. Not `>`: NaN is no such number.
     measured = phi.forward(x)
-    spread = phi.adjoint(y)
     forth = float(measured @ y)
-    back = float(x @ spread)
+    back = float(x @ phi.adjoint(y))
     rounding = 1e-3 * float(np.linalg.norm(measured) * np.linalg.norm(y))
     if not abs(forth - back) <= rounding:
         raise SolverError(
             f"phi {phi.kind}: adjoint is not the transpose of forward: <Phi x, y> = {forth:.6g} "
             f"but <x, Phi^T y> = {back:.6g}; allowed: equal but for rounding"
         )
+    # Power method: y turns to the eigenvector of the largest eigenvalue, by which it grows.
     for _ in range(N_POWER_STEPS):
         y /= max(float(np.linalg.norm(y)), TINY)
         y = phi.forward(phi.adjoint(y))
@@ -163,13 +167,13 @@ def pad_spread(phi: Phi, mask: Mask, rng: np.random.Generator) -> float:
     permuted at random, more if neighbours share a measurement.
     """
     sides = np.minimum(PAD_SIDE, mask.shape)
-    taxels = np.flatnonzero(mask)
     shares = []
     for _ in range(N_PADS):
         row, col = rng.integers(0, np.array(mask.shape) - sides + 1)
         frame = np.zeros(mask.shape, np.float32)
         frame[row : row + sides[0], col : col + sides[1]] = 1.0
-        x = frame.reshape(-1)[taxels]
+        x = frame[mask]
+        # A pad may lie beside the skin.
         if x.any():
             energy = float(np.sum(np.square(phi.forward(x), dtype=np.float64)))
             shares.append(energy / float(np.sum(x)))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from itertools import compress
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -46,7 +47,6 @@ from .settings import PRESETS, ReconstructorSettings, alike_but_for_contacts
 if TYPE_CHECKING:
     from .idle import IdleWatch
 
-
 EVERY_FRAME = 0
 NEWEST = 1
 """Depths where the settings state none: of recorded frames, and of a live source."""
@@ -84,8 +84,13 @@ class Reconstructor(Node[ReconstructorSettings]):
         if settings.contacts:
             from .contact_tracks import NOTHING, joined
 
-            head: dict[str, Any] = {"patch": settings.patch, "names": settings.patches}
-            self._untouched = Contacts(**head, stamp_ns=0, done_ns=0, **NOTHING)
+            self._untouched = Contacts(
+                patch=settings.patch,
+                names=settings.patches,
+                stamp_ns=0,
+                done_ns=0,
+                **NOTHING,
+            )
             self._joined = joined
 
     @classmethod
@@ -134,8 +139,9 @@ class Reconstructor(Node[ReconstructorSettings]):
             return
         if self._skin is None or self._announced is None:
             return
+        # A skin that has changed: its Phi is on its way, or the reverse.
         if self._subsets and self._announced.n != self._skin.skin.n_taxels:
-            return  # a skin that has changed: its Phi is on its way, or the reverse
+            return
         self._subsets = {}
         stamp_ns = max(self._skin.stamp_ns, self._announced.stamp_ns)
         yield self._set_up(self._skin, self._announced, stamp_ns)
@@ -152,35 +158,29 @@ class Reconstructor(Node[ReconstructorSettings]):
             return ()
         if self._skin is None or self._announced is None:
             return ()
+        now_ns = self.context.clock.now_ns()
         try:
-            return (
-                self._set_up(self._skin, self._announced, self.context.clock.now_ns()),
-            )
-        except Exception:  # a user's own solver may raise anything
+            return (self._set_up(self._skin, self._announced, now_ns),)
+        # A user's own solver may raise anything.
+        except Exception:
             self.settings = previous
             raise
 
     def state(self) -> dict[str, Any]:
-        in_force = self.settings.chosen()
-        preset = self.settings.preset
-        state: dict[str, Any] = {
-            "left_out": self._left_out,
-            "depth": self.depth,
-        }
+        state = self.settings.chosen()
+        state["preset"] = self._preset
+        state["left_out"] = self._left_out
+        state["depth"] = self.depth
         if self.settings.skip_idle:
             state["idle"] = self._n_idle
         if not self._uses_basis:
             state["basis"] = None
-        return {
-            **in_force,
-            "preset": preset if in_force == PRESETS[preset] else "",
-            **state,
-        }
+        return state
 
     def status(self) -> str:
-        in_force = self.settings.chosen()
         if not self._subsets:
             return ""
+        in_force = self.settings.chosen()
         solver = f"solver {in_force['solver']}"
         if self._uses_basis:
             solver += f" in {in_force['basis']}"
@@ -189,9 +189,8 @@ class Reconstructor(Node[ReconstructorSettings]):
             patches = f"{len(self._patches)} patches"
             if self._n_idle:
                 patches += f", {self._n_idle} idle"
-        return "; ".join(
-            filter(None, (solver, self._left_out, patches, self._touched()))
-        )
+        parts = (solver, self._left_out, patches, self._touched())
+        return "; ".join(filter(None, parts))
 
     def _touched(self) -> str:
         """Contacts of the newest frame in words; "" if there are none."""
@@ -201,21 +200,26 @@ class Reconstructor(Node[ReconstructorSettings]):
         return summary(contacts.id.size, float(contacts.total.sum()), self._skin.unit)
 
     @property
+    def _preset(self) -> str:
+        """The preset; "" if settings replace a part of it."""
+        preset = self.settings.preset
+        return preset if self.settings.chosen() == PRESETS[preset] else ""
+
+    @property
     def _uses_basis(self) -> bool:
         """True if the solver uses the basis."""
-        return bool(
-            solver_fact(solver_class(self.settings.chosen()["solver"]), "uses_basis")
-        )
+        cls = solver_class(self.settings.chosen()["solver"])
+        return bool(solver_fact(cls, "uses_basis"))
 
     @property
     def _left_out(self) -> str:
         """Measurements that are excluded now."""
-        texts = {
-            n: p.faults.text for n, p in zip(self._names, self._patches, strict=True)
-        }
-        if len(set(texts.values())) == 1:
-            return texts[self._names[0]]
-        return "; ".join(f"{name}: {text}" for name, text in texts.items() if text)
+        texts = [patch.faults.text for patch in self._patches]
+        # What holds for all patches is stated once.
+        if len(set(texts)) == 1:
+            return texts[0]
+        patches = zip(self._names, texts, strict=True)
+        return "; ".join(f"{name}: {text}" for name, text in patches if text)
 
     @property
     def _n_idle(self) -> int:
@@ -225,7 +229,6 @@ class Reconstructor(Node[ReconstructorSettings]):
         self, state: SkinState, announced: PhiState, stamp_ns: int
     ) -> SolverState:
         """Make Phi and solvers for a skin; return the message that announces them."""
-        in_force = self.settings.chosen()
         subsets = phis_to_invert(self.settings, state, announced)
 
         # The patches share what does not depend on their frames with the first one.
@@ -244,20 +247,17 @@ class Reconstructor(Node[ReconstructorSettings]):
 
         self._idle = None
         chooses = bool(phi_fact(subsets[0], "choice"))
+        # Without a stated noise no change is known from it; rows chosen anew have no earlier frame.
         if self.settings.skip_idle and state.sigma_end > 0 and not chooses:
             from .idle import IdleWatch  # with it the sensor's noise
 
             self._idle = IdleWatch(len(self._patches), state, subsets)
 
-        solver = {"solver": in_force["solver"], **solver}
+        solver["solver"] = self.settings.chosen()["solver"]
+        solver["preset"] = self._preset
         if not self._uses_basis:
             solver["basis"] = ""
-        preset = (
-            self.settings.preset if in_force == PRESETS[self.settings.preset] else ""
-        )
-        return SolverState(
-            stamp_ns=stamp_ns, patch=self.settings.patch, preset=preset, **solver
-        )
+        return SolverState(stamp_ns=stamp_ns, patch=self.settings.patch, **solver)
 
     def _state_noise(self) -> None:
         """Hand the noise that the skin states to the solvers."""
@@ -276,12 +276,12 @@ class Reconstructor(Node[ReconstructorSettings]):
         phi = self._subsets.get(measurements.phi)
         if phi is None:
             subset, *other_subsets = self._subsets
-            rotating = (
-                f" and {len(other_subsets)} other row subsets" if other_subsets else ""
-            )
+            inverted = f"Phi {subset}"
+            if other_subsets:
+                inverted += f" and {len(other_subsets)} other row subsets"
             raise RefusedError(
                 f"{measurements.topic}: Phi mismatch: made by Phi {measurements.phi}, "
-                f"this reconstructor inverts Phi {subset}{rotating}"
+                f"this reconstructor inverts {inverted}"
             )
         return phi
 
@@ -317,10 +317,9 @@ class Reconstructor(Node[ReconstructorSettings]):
             patch.sensed = reason
         follow(phi, places=measurements.places, nodes=measurements.nodes)
 
+        # An array of a sender in this process, which may write to it again.
         all_y = measurements.y
-        if (
-            all_y.flags.writeable
-        ):  # of a sender in this process, which may write to it again
+        if all_y.flags.writeable:
             all_y = all_y.copy()
 
         sent = list(range(len(patches)))
@@ -328,7 +327,7 @@ class Reconstructor(Node[ReconstructorSettings]):
             sent = [k for k, same in enumerate(measurements.unchanged) if not same]
             self._rest(measurements)
 
-        # What the compressor sends of a few patches alone has changed.
+        # What the compressor sends of a few patches alone has changed: it is solved.
         to_solve = [True] * len(sent)
         if self._idle is not None and measurements.all_sent:
             to_solve = self._idle.to_solve(phi.fingerprint, all_y).tolist()
@@ -344,17 +343,13 @@ class Reconstructor(Node[ReconstructorSettings]):
 
     def _rest(self, measurements: Measurements) -> None:
         """Keep the last forces of the patches whose measurements were not sent."""
-        resting = [
-            p
-            for p, same in zip(self._patches, measurements.unchanged, strict=True)
-            if same
-        ]
-        for patch in resting:
-            if patch.solved is None:
-                raise RefusedError(
-                    f"{measurements.topic}: a patch is quiet that has sent no measurements yet; "
-                    "it does once its silence ends"
-                )
+        # All are checked first: a message that is refused changes no patch.
+        resting = list(compress(self._patches, measurements.unchanged))
+        if any(patch.solved is None for patch in resting):
+            raise RefusedError(
+                f"{measurements.topic}: a patch is quiet that has sent no measurements yet; "
+                "it does once its silence ends"
+            )
         for patch in resting:
             patch.rest()
 
@@ -380,20 +375,15 @@ class Reconstructor(Node[ReconstructorSettings]):
         self, measurements: Measurements, unchanged: list[bool], done_ns: int
     ) -> Reconstruction:
         """Solutions of the patches, without the forces of those that are unchanged."""
-        solutions = [
-            patch.solved for patch in self._patches if patch.solved is not None
-        ]
-        columns = zip(*solutions, strict=True)
+        solved = [patch.solved for patch in self._patches if patch.solved is not None]
+        columns = zip(*solved, strict=True)
         all_forces, sds, iterations, residuals, solve_ns, errors, _, reasons = columns
 
-        changed = [
-            forces
-            for forces, same in zip(all_forces, unchanged, strict=True)
-            if not same
-        ]
+        # Without a change there is still a shape to state.
         forces = all_forces[0][np.newaxis][:0]
-        if changed:
-            forces = _stacked(changed)
+        if not all(unchanged):
+            pairs = zip(all_forces, unchanged, strict=True)
+            forces = _stacked([image for image, same in pairs if not same])
         sd = None
         if sds[0] is not None:
             sd = _stacked(sds)
@@ -416,11 +406,9 @@ class Reconstructor(Node[ReconstructorSettings]):
             "unchanged": tuple(unchanged),
         }
         if self._first is None:
-            of_node: dict[str, Any] = {
-                "patch": self.settings.patch,
-                "names": self.settings.patches,
-            }
-            self._first = Reconstruction(**of_node, **fields)
+            self._first = Reconstruction(
+                patch=self.settings.patch, names=self.settings.patches, **fields
+            )
         return self._first.following(**fields)
 
     def _contacts(self, measurements: Measurements) -> Contacts:
@@ -452,17 +440,17 @@ def _is_alike(message: Message, before: Message) -> bool:
 
 def _rehearse(settings: ReconstructorSettings) -> None:
     """Reconstruct one empty frame of a small skin: no frame of the graph waits for an import."""
-    in_force = dict(settings.chosen())
-    names = in_force.pop("solver"), in_force.pop("basis")
-    if any(":" in name for name in names):
+    options = settings.chosen()
+    solver_name = options.pop("solver")
+    basis_name = options.pop("basis")
+    # One of the user's own is not called before its skin is known.
+    if ":" in solver_name + basis_name:
         return
     phi = make_phi("sbhe", n=64, m=21, seed=0)
-    with contextlib.suppress(
-        SparseskinError
-    ):  # settings for another size; `_set_up` reports them
-        solver = make_solver(
-            names[0], phi, make_basis(names[1], 8, 8), fast=settings.fast, **in_force
-        )
+    # Settings may fit another size alone; those that are wrong are reported by `_set_up`.
+    with contextlib.suppress(SparseskinError):
+        basis = make_basis(basis_name, 8, 8)
+        solver = make_solver(solver_name, phi, basis, fast=settings.fast, **options)
         solver.solve(np.zeros(phi.m, dtype=np.float32))
 
 
@@ -486,12 +474,17 @@ def phis_to_invert(
         )
     try:
         settings.check_phi(announced.kind)
-        kind = settings.kind_of(announced.kind)
-        parameters = {
-            name: getattr(announced, name) for name in ("m", "seed", "block", "rule")
-        }
-        of_skin = state.skin, state.sigma_end, state.clips_noise
-        subsets = phis_for(*of_skin, announced.rows, kind=kind, **parameters)
+        subsets = phis_for(
+            state.skin,
+            state.sigma_end,
+            state.clips_noise,
+            announced.rows,
+            kind=settings.kind_of(announced.kind),
+            m=announced.m,
+            seed=announced.seed,
+            block=announced.block,
+            rule=announced.rule,
+        )
     except (PhiError, SettingsError) as error:
         raise RefusedError(f"{announced.topic}: {error}") from error
     if subsets[0].fingerprint != announced.fingerprint:

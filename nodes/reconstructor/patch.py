@@ -43,7 +43,6 @@ if TYPE_CHECKING:
     from .contact_tracks import ContactTracker, Followed
     from .first_touch import TouchWatch
 
-
 USUAL_PART = 0.25
 """Part of a skin that is pressed, for a warning: 10 to 25 % in scenes, more in recordings."""
 
@@ -111,61 +110,58 @@ class Patch:
         skin = state.skin
         phi = subsets[0]
         chosen = dict(settings.chosen())
-        options = {k: v for k, v in chosen.items() if k not in ("solver", "basis")}
-        warnings = reconstruction_warnings(
-            chosen["solver"], chosen["basis"], phi.n, phi.m, options
-        )
-        options = options_for_range(chosen["solver"], options, skin.f_max, phi)
-        basis = make_basis(chosen["basis"], skin.n_rows, skin.n_cols)
-        cls = solver_class(chosen["solver"])
+        name = chosen.pop("solver")
+        basis_name = chosen.pop("basis")
+        warnings = reconstruction_warnings(name, basis_name, phi.n, phi.m, chosen)
+        options = options_for_range(name, chosen, skin.f_max, phi)
+        basis = make_basis(basis_name, skin.n_rows, skin.n_cols)
+        cls = solver_class(name)
         solver = make_rotating_solver(
-            chosen["solver"], subsets, basis, skin.mask, fast=settings.fast, **options
+            name, subsets, basis, skin.mask, fast=settings.fast, **options
         )
-        if chosen == PRESETS["paper"] and not has_rows_of_paper(subsets):
+        if settings.chosen() == PRESETS["paper"] and not has_rows_of_paper(subsets):
             warnings.append(OTHER_ROWS)
         if phi_fact(phi, "samples") and solver_fact(cls, "warning_of_samples"):
             warnings.append(solver_fact(cls, "warning_of_samples"))
+        # A Phi of the user's own, or of a file, may not be what it states.
         if ":" in settings.phi:
-            for one in subsets:
-                warnings += check_phi(one, solver.mask)
+            for subset in subsets:
+                warnings += check_phi(subset, solver.mask)
         for warning in dict.fromkeys(warnings):
             self.log(warning)
-        tiles = solver if isinstance(solver, CountsTiles) else None
+
         budget_ms = settings.budget_ms
-        follows = (
-            live and "iterations" not in options and bool(getattr(solver, "paces", ()))
-        )
-        if budget_ms is None and follows and state.rate_hz:
+        follows_rate = live and "iterations" not in options and _paces_of(solver)
+        if budget_ms is None and follows_rate and state.rate_hz:
             budget_ms = 1e3 * SHARE / state.rate_hz / settings.n_patches
         most_steps = sys.maxsize
         frame_ms = 0.0
         if alike is not None:
             most_steps = alike.most_steps
-            if tiles is not None and alike._tiles is not None:
-                tiles.use_times(*alike._tiles.times)
-            elif most_steps in getattr(solver, "paces", ()):
-                solver.use_pace(most_steps)
+            _use_times_of(alike, solver)
         elif budget_ms is not None:
+            # A solver with paces has fewer steps from then on.
             n_steps = solver.n_steps
             most_steps, frame_s = steps_within(solver, phi, skin.f_max, budget_ms / 1e3)
             frame_ms = round(1e3 * frame_s, 3)
-            usual = most_steps
-            where = ""
-            if tiles is not None and tiles.times[0]:
-                usual = tiles.steps_for(int(USUAL_PART * tiles.most_tiles))[1]
-                where = f" where {USUAL_PART:.0%} of the skin is pressed"
+            usual, where = _usual_steps(solver, most_steps)
             if usual < solver_fact(cls, "least_iterations"):
                 self.log(
                     f"{usual} of {n_steps} iterations{where}, for a budget of {budget_ms:.2g} ms: "
                     "a sudden contact takes several frames; advised: a larger budget_ms, a lower "
                     "rate, or fewer taxels a node"
                 )
+
+        # From here on nothing raises: what raised has changed nothing.
         self.settings = settings
         self.solver = solver
-        self._tiles = tiles
+        self._tiles = solver if isinstance(solver, CountsTiles) else None
         self._subsets = subsets
         self.most_steps = most_steps
-        self._watch_faults(settings, state, solver.mask)
+        noise = Noise(skin.f_max, state.least_sd)
+        self.faults = FaultWatch(
+            noise, solver.mask.shape, self.log, watch_rows=settings.watch_rows
+        )
         if settings.uncertainty:
             table = solver_fact(cls, "calibrated")
             self._uncertainty = Uncertainty(
@@ -183,29 +179,26 @@ class Patch:
         if self._last is not None and self._last.shape != skin.shape:
             self._last = None
         self._warm = self._last
-        stated = {
-            "basis": getattr(basis, "label", chosen["basis"]),
-            "iterations": min(options.get("iterations", solver.n_steps), most_steps),
+        return {
+            "basis": getattr(basis, "label", basis_name),
             "lambda_n": options.get("lambda_n", 0.0),
             "frame_ms": frame_ms,
+            **self._stated_steps(options.get("iterations", solver.n_steps)),
         }
-        if tiles is not None and tiles.times[0]:
-            frame_tiles, step_tiles = tiles.times
-            _, stated["iterations"] = tiles.steps_for(tiles.most_tiles)
-            stated["max_iterations"] = solver.n_steps
-            stated |= {"frame_tiles": frame_tiles, "step_tiles": step_tiles}
-        return stated
 
-    def _watch_faults(
-        self, settings: ReconstructorSettings, skin: SkinState, mask: Mask
-    ) -> None:
-        """Watch the frames of a skin from now on."""
-        self.faults = FaultWatch(
-            Noise(skin.f_max, skin.least_sd),
-            mask.shape,
-            self.log,
-            watch_rows=settings.watch_rows,
-        )
+    def _stated_steps(self, iterations: int) -> dict[str, int]:
+        """Numbers of steps as a `SolverState` has them; `iterations` where no budget is set."""
+        tiles = self._tiles
+        if tiles is None or not tiles.times[0]:
+            return {"iterations": min(iterations, self.most_steps)}
+        frame_tiles, step_tiles = tiles.times
+        _, iterations = tiles.steps_for(tiles.most_tiles)
+        return {
+            "iterations": iterations,
+            "max_iterations": tiles.n_steps,
+            "frame_tiles": frame_tiles,
+            "step_tiles": step_tiles,
+        }
 
     def _watch_touches(self, skin: SkinState, alike: Patch | None) -> None:
         """Watch the measurements of a skin for touches from now on, if it states its noise."""
@@ -238,14 +231,17 @@ class Patch:
         self._missing = missing
         self._blind = False
         if missing is not None and self.solver is not None:
-            known = self.solver.mask & ~missing
-            self._blind = bool((missing & ~of_nine(known, np.logical_or)).any())
+            # A reading without a neighbour that gave one was filled in by nothing.
+            has_reading = self.solver.mask & ~missing
+            near_reading = of_nine(has_reading, np.logical_or)
+            self._blind = bool((missing & ~near_reading).any())
 
     def read(self, phi: Phi, y: Floats) -> None:
         """Begin a frame: its measurements, float32 (m,), newtons."""
         assert self.solver is not None
         if len(self._subsets) > 1:
             self.solver.use(phi)
+        # The residual is that of what is solved: without an offset that was subtracted.
         self._phi = phi
         self._believed = self.faults.receive(self.solver, phi, y)
         self._y = y if self._believed is None else self._believed
@@ -258,7 +254,8 @@ class Patch:
         assert self.solver is not None
         self._n_steps = 0
         self._solve_ns = 0
-        if self._believed is None:  # it holds nothing of the skin
+        # The measurements hold nothing of the skin.
+        if self._believed is None:
             self._error = None
             self._common_error = 0.0
             return
@@ -275,6 +272,7 @@ class Patch:
         self._error, _ = estimated_error(self.solver)
         self._common_error = self.solver.common_error
         self._solve_ns = time.perf_counter_ns() - begin_ns
+        # From now on the solver starts from a state of its own.
         self._warm = None
 
     def check(self) -> Solved:
@@ -286,30 +284,34 @@ class Patch:
             assert self._last is not None
             verdict = self.faults.look(self.solver, self._phi, self._last)
         forces = verdict.forces if self._last is None else self._last
-        (fitted,) = measured(self.solver, forces, self._phi)
+        fitted = measured(self.solver, forces, self._phi)
         residuals = np.subtract(self._y, fitted, dtype=np.float64)
         residual = math.sqrt(float(np.dot(residuals, residuals)) / residuals.size)
 
         sd = None
         if self._uncertainty is not None:
             sd = self._uncertainty.update(forces, residual)
+            # Of a taxel without a reading nothing is known but the range.
             if self._missing is not None:
-                sd[self._missing] = self._f_max  # nothing is known of them
+                sd[self._missing] = self._f_max
         self._found = verdict.reason
-        reason = self._reason(verdict.reason)
-        numbers = (
-            self._n_steps,
-            residual,
-            self._solve_ns,
-            self._error,
-            self._common_error,
+        self.solved = Solved(
+            forces=verdict.forces,
+            sd=sd,
+            iterations=self._n_steps,
+            residual=residual,
+            solve_ns=self._solve_ns,
+            error=self._error,
+            common_error=self._common_error,
+            reason=self._reason(verdict.reason),
         )
-        self.solved = Solved(verdict.forces, sd, *numbers, reason)
         return self.solved
 
     def _reason(self, of_frame: str) -> str:
         """Why the frame is not to be trusted; "" if it is. `of_frame` is what was found of it."""
-        of_readings = Reason.MISSING if self._blind and not self.sensed else self.sensed
+        of_readings = self.sensed
+        if self._blind and not of_readings:
+            of_readings = Reason.MISSING
         return first_reason(of_frame, of_readings)
 
     def keep(self, phi: Phi, y: Floats) -> None:
@@ -346,6 +348,28 @@ class Patch:
         contacts = self._tracker.update(solved.forces, *errors, self._touch.touch)
         self._touch.follow(self._tracker.in_contact)
         return contacts
+
+
+def _paces_of(solver: Solver) -> tuple[int, ...]:
+    """Numbers of steps that the rate may choose from; none of a solver of the user's own."""
+    paces: tuple[int, ...] = getattr(solver, "paces", ())
+    return paces
+
+
+def _usual_steps(solver: Solver, most_steps: int) -> tuple[int, str]:
+    """Number of steps that a budget allows in most frames; and which these are, in words."""
+    if isinstance(solver, CountsTiles) and solver.times[0]:
+        _, n_steps = solver.steps_for(int(USUAL_PART * solver.most_tiles))
+        return n_steps, f" where {USUAL_PART:.0%} of the skin is pressed"
+    return most_steps, ""
+
+
+def _use_times_of(patch: Patch, solver: Solver) -> None:
+    """Let a solver do as many steps as that of a patch like its own: a frame takes as long."""
+    if isinstance(solver, CountsTiles) and patch._tiles is not None:
+        solver.use_times(*patch._tiles.times)
+    elif patch.most_steps in _paces_of(solver):
+        solver.use_pace(patch.most_steps)
 
 
 def _noise_model(skin: SkinState) -> NoiseModel | None:

@@ -44,7 +44,8 @@ PRESETS: dict[str, dict[str, Any]] = {
     "skin": {"solver": "skin", "basis": "haar"},
 }
 
-
+_OF_PRESET = ("solver", "basis", "iterations", "lambda_n")
+"""Settings that are stated in place of those of a preset."""
 CONTACT_KEYS = (
     *("contact_force", "contact_area", "contact_low", "contact_high"),
     *("contact_over", "contact_slide"),
@@ -202,10 +203,8 @@ class ReconstructorSettings(PatchesSettings):
     @property
     def limits(self) -> Limits:
         """What counts as a contact, and as an event."""
-        over, slide = (
-            math.inf if limit is None else limit
-            for limit in (self.contact_over, self.contact_slide)
-        )
+        over = math.inf if self.contact_over is None else self.contact_over
+        slide = math.inf if self.contact_slide is None else self.contact_slide
         thresholds = self.contact_low, self.contact_high
         return Limits(*thresholds, self.contact_force, self.contact_area, over, slide)
 
@@ -225,25 +224,21 @@ class ReconstructorSettings(PatchesSettings):
             solver = solver_class(name)
         self._check_known_to(name, solver)
         if self.uncertainty and solver_fact(solver, "calibrated") is None:
+            fault = f"is not available with solver {name}, whose error is not known"
             calibrated = [
                 solver_name
                 for solver_name in SOLVERS
                 if solver_fact(solver_class(solver_name), "calibrated")
             ]
-            fault = f"is not available with solver {name}, whose error is not known"
-            raise SettingsError(
-                f"uncertainty: {fault}; allowed: {', '.join(calibrated)}"
-            )
+            allowed = ", ".join(calibrated)
+            raise SettingsError(f"uncertainty: {fault}; allowed: {allowed}")
 
     def _check_known_to(self, name: str, solver: Callable[..., Any]) -> None:
         parameters = inspect.signature(solver).parameters
         takes_any = any(p.kind is p.VAR_KEYWORD for p in parameters.values())
         for key in ("iterations", "lambda_n"):
-            if (
-                getattr(self, key) is not None
-                and key not in parameters
-                and not takes_any
-            ):
+            is_unknown = key not in parameters and not takes_any
+            if is_unknown and getattr(self, key) is not None:
                 raise SettingsError(
                     f"{key}: solver {name} has none; allowed: to leave it out, "
                     "or a solver that has it (preset paper)"
@@ -272,12 +267,10 @@ class ReconstructorSettings(PatchesSettings):
 
     def changed(self, changes: Mapping[str, Any]) -> Self:
         """As in `Settings`; a preset replaces what was stated in place of an earlier one's."""
-        of_preset = dict.fromkeys(
-            ("solver", "basis", "iterations", "lambda_n", "options")
-        )
-        return super().changed(
-            {**of_preset, **changes} if "preset" in changes else changes
-        )
+        if "preset" in changes:
+            of_preset = dict.fromkeys((*_OF_PRESET, "options"))
+            changes = {**of_preset, **changes}
+        return super().changed(changes)
 
     def check_phi(self, kind: str) -> None:
         """Check that measurements by an announced kind of phi can be reconstructed.
@@ -293,14 +286,13 @@ class ReconstructorSettings(PatchesSettings):
         solver_name = self.chosen()["solver"]
         solver = solver_class(solver_name)
         phi = phi_class(kind)
+        # A function that makes a Phi shows what it is only once it is called.
         if isinstance(phi, type):
             with naming("solver"):
                 check_reads(solver_name, solver, kind, phi)
             if self.uncertainty and phi_fact(phi, "choice"):
-                fault = (
-                    f"is not available with phi {kind}, whose rows change each frame"
-                )
-                raise SettingsError(f"uncertainty: {fault}; allowed: sbhe")
+                fault = f"not available with phi {kind}, whose rows change each frame"
+                raise SettingsError(f"uncertainty: is {fault}; allowed: sbhe")
 
     def kind_of(self, announced: str) -> str:
         """The kind of phi that is made: the stated one, or that which the compressor announces."""
@@ -308,23 +300,21 @@ class ReconstructorSettings(PatchesSettings):
 
     def chosen(self) -> dict[str, Any]:
         """Return the preset with the settings that are stated in place of its own."""
-        stated = {
-            key: getattr(self, key)
-            for key in ("solver", "basis", "iterations", "lambda_n")
-        }
         preset = PRESETS[self.preset]
+        # The numbers of a preset belong to its solver.
         if self.solver not in (None, preset["solver"]):
-            # The numbers of a preset belong to its solver.
             preset = {"basis": preset["basis"]}
-        return (
-            (self.options or {})
-            | preset
-            | {k: v for k, v in stated.items() if v is not None}
-        )
+        settings = {**(self.options or {}), **preset}
+        for key in _OF_PRESET:
+            stated = getattr(self, key)
+            if stated is not None:
+                settings[key] = stated
+        return settings
 
 
 def alike_but_for_contacts(
-    one: ReconstructorSettings, other: ReconstructorSettings
+    settings: ReconstructorSettings, others: ReconstructorSettings
 ) -> bool:
     """True if settings differ in `CONTACT_KEYS` at most."""
-    return replace(one, **{key: getattr(other, key) for key in CONTACT_KEYS}) == other
+    of_contacts = {key: getattr(others, key) for key in CONTACT_KEYS}
+    return replace(settings, **of_contacts) == others

@@ -98,6 +98,7 @@ class Recorder(Node[RecorderSettings]):
         writer = self._writer
         if writer is not None:
             self._guard(lambda: writer.close(counts))
+        # A late message must not begin a new file.
         self._closed = True
 
     def status(self) -> str:

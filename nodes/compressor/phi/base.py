@@ -56,8 +56,6 @@ _INTERFACE = (
     *("kind", "n", "m", "ratio", "lipschitz", "fingerprint"),
     *("forward", "adjoint", "dense", "describe"),
 )
-
-
 Code = npt.NDArray[np.uint8]
 """Bits that state which rows of a matrix a frame reads."""
 
@@ -70,9 +68,8 @@ class BlockLayout(NamedTuple):
     sizes: list[int]  # of the blocks
     permutation: Indices  # taxel of each column
     rows: Indices  # row of each measurement
-    blocks: (
-        Indices | None
-    )  # block of each measurement; None where blocks are single taxels
+    blocks: Indices | None
+    """Block of each measurement; None where blocks are single taxels."""
 
 
 class Phi(ABC):
@@ -211,7 +208,8 @@ class Phi(ABC):
         """State the grid of the taxels, bool (n_rows, n_cols), True where one exists, by which some
         kinds arrange their rows. Raises PhiError if they are not n, or the kind does not allow it.
         """
-        if (n := np.count_nonzero(exists)) != self.n:
+        n = np.count_nonzero(exists)
+        if n != self.n:
             raise PhiError(f"{self.kind}: n = {self.n}, but {n} taxels exist")
         self._lay_out(exists)
 
@@ -224,10 +222,8 @@ class Phi(ABC):
 
     def describe(self) -> dict[str, Any]:
         """Return the arguments of `make_phi` that make it again."""
-        return {
-            name: getattr(self, name)
-            for name in ("kind", "n", "m", "seed", "block", "rule")
-        }
+        names = ("kind", "n", "m", "seed", "block", "rule")
+        return {name: getattr(self, name) for name in names}
 
     @abstractmethod
     def _forward(self, x: Floats, out: Floats) -> None:
@@ -245,8 +241,9 @@ def phi_fact(phi: object, name: str) -> Any:
 
 def block_layout(phi: object) -> BlockLayout | None:
     """As the method of `Phi`, of a user's own too."""
-    layout: BlockLayout | None = phi.block_layout() if isinstance(phi, Phi) else None
-    return layout
+    if isinstance(phi, Phi):
+        return phi.block_layout()
+    return None
 
 
 def follow(phi: Phi, **codes: Code | None) -> None:
@@ -254,6 +251,7 @@ def follow(phi: Phi, **codes: Code | None) -> None:
 
     Raises PhiError if the code is absent, of another kind, or malformed.
     """
+    # Rows that the wrong matrix reads would invent forces.
     choice = phi_fact(phi, "choice")
     for field, code in codes.items():
         if field != choice and code is not None:
@@ -271,10 +269,11 @@ def follow(phi: Phi, **codes: Code | None) -> None:
 def phi_class(kind: str) -> Callable[..., Any]:
     """The class of a kind, as `make_phi` takes it. Raises PhiError if there is none."""
     prefix, colon, parameter = kind.partition(":")
-    if colon and (home := _WITH_PARAMETER.get(f"{prefix}:")):
-        made: Callable[..., Any] = find_callable(home, PhiError)(parameter)
-        return made
-    return find_class("phi", kind, KINDS, PhiError)
+    home = _WITH_PARAMETER.get(prefix + colon)
+    if home is None:
+        return find_class("phi", kind, KINDS, PhiError)
+    cls: Callable[..., Any] = find_callable(home, PhiError)(parameter)
+    return cls
 
 
 def is_built_in(kind: str) -> bool:
@@ -291,16 +290,13 @@ def check_parameters(n: int, m: int, seed: int, block: int) -> None:
             raise PhiError(
                 f"phi: {name} = {value!r} is not allowed; allowed: a whole number"
             )
+    # A power of two has one bit set.
+    is_power = block >= 1 and not block & (block - 1)
     for name, value, is_allowed, allowed in (
         ("n", n, 1 <= n <= MAX_TAXELS, f"1..{MAX_TAXELS} taxels"),
         ("m", m, 1 <= m <= n, f"1..{n} (n = {n} taxels)"),
         ("seed", seed, seed >= 0, "0 or more"),
-        (
-            "block",
-            block,
-            block >= 1 and not block & (block - 1),
-            "a power of two (1, 2, 4 ..)",
-        ),
+        ("block", block, is_power, "a power of two (1, 2, 4 ..)"),
     ):
         if not is_allowed:
             raise PhiError(f"phi: {name} = {value} is not allowed; allowed: {allowed}")
@@ -312,6 +308,7 @@ def fingerprint_of(
     """The first 16 hexadecimal characters of the SHA-256 over the parts of a matrix: integers as
     little-endian int32, floats as little-endian float32, to be the same on every machine.
     """
+    # Type and shape first: other arrays with the same bytes are another matrix.
     digest = hashlib.sha256(f"{kind} {n} {m} {block}".encode())
     for array in arrays:
         wire = "<f4" if array.dtype.kind == "f" else "<i4"
@@ -322,7 +319,9 @@ def fingerprint_of(
 
 def block_of(kind: str, block: int | None) -> int:
     """Size of the Hadamard blocks: the stated one, or that of the kind; PhiError as `phi_class`."""
-    return getattr(phi_class(kind), "default_block", BLOCK) if block is None else block
+    if block is None:
+        block = getattr(phi_class(kind), "default_block", BLOCK)
+    return block
 
 
 @checked(PhiError)
@@ -353,31 +352,41 @@ def make_phi(
     PhiError
         If the kind is unknown, a parameter is not allowed, or a class of your own is not a Phi.
     """
-    cls, block = phi_class(kind), block_of(kind, block)
+    cls = phi_class(kind)
+    block = block_of(kind, block)
     check_parameters(n, m, seed, block)
     if rule not in RULES:
-        raise PhiError(
-            f"phi: rule = {rule!r} is not allowed; allowed: {', '.join(map(str, RULES))}"
-        )
-    # The rule of a class is the last one, unless another is stated.
-    chosen = {"rule": rule} if rule != SUMS and getattr(cls, "has_rules", False) else {}
+        allowed = ", ".join(map(str, RULES))
+        raise PhiError(f"phi: rule = {rule!r} is not allowed; allowed: {allowed}")
+    # A class of the user's own need not take a rule.
+    parameters = {"n": n, "m": m, "seed": seed, "block": block}
+    if rule != SUMS and getattr(cls, "has_rules", False):
+        parameters["rule"] = rule
     try:
-        made = cls(n=n, m=m, seed=seed, block=block, **chosen)
+        phi = cls(**parameters)
     except TypeError as cause:
         raise PhiError(
             f'phi "{kind}" does not take n, m, seed, block: {cause}'
         ) from cause
-    missing = [name for name in _INTERFACE if not hasattr(made, name)]
+    _check_made(kind, phi, n, m)
+    matrix: Phi = phi
+    return matrix
+
+
+def _check_made(kind: str, phi: Any, n: int, m: int) -> None:
+    """Raise PhiError unless an object, of a class of the user's own, is a Phi of m x n."""
+    missing = [name for name in _INTERFACE if not hasattr(phi, name)]
     if missing:
         raise PhiError(
             f'phi "{kind}" is no measurement matrix: it lacks {", ".join(missing)}'
         )
-    if (made.n, made.m) != (n, m):
+    if (phi.n, phi.m) != (n, m):
         raise PhiError(
-            f'phi "{kind}" has n = {made.n}, m = {made.m}; expected n = {n}, m = {m}'
+            f'phi "{kind}" has n = {phi.n}, m = {phi.m}; expected n = {n}, m = {m}'
         )
-    if not re.fullmatch(FINGERPRINT_PATTERN, str(made.fingerprint)):
-        what = f"fingerprint = {ascii(str(made.fingerprint))[:40]}; expected 16 hexadecimal digits"
-        raise PhiError(f'phi "{kind}" has {what}, as fingerprint_of makes them')
-    phi: Phi = made
-    return phi
+    # Messages carry it: one of another form would be refused there, frame by frame.
+    fingerprint = str(phi.fingerprint)
+    if not re.fullmatch(FINGERPRINT_PATTERN, fingerprint):
+        expected = "16 hexadecimal digits, as fingerprint_of makes them"
+        fault = f"fingerprint = {ascii(fingerprint)[:40]}"
+        raise PhiError(f'phi "{kind}" has {fault}; expected {expected}')

@@ -42,6 +42,7 @@ class GaussianPhi(Phi):
 
     def __init__(self, n: int, m: int, seed: int, block: int = BLOCK) -> None:
         super().__init__(n, m, seed, block)
+        # In float64: a float32 generator would draw other numbers.
         normal = np.random.default_rng(seed).standard_normal((m, n))
         self.matrix: Floats = (normal / math.sqrt(n)).astype(np.float32)
         self.matrix.setflags(write=False)

@@ -15,7 +15,6 @@ MOST_AT_ONCE = 64
 """Size of the largest Hadamard matrix that is one product: two smaller ones are faster than a
 larger one (timed)."""
 
-
 Call: TypeAlias = tuple[Callable[..., Any], tuple[Any, ...]]
 """A numpy call of a program. A transform of a few thousand numbers is a hundred of them, and to
 slice their views takes as long as the arithmetic: views and buffers are made once."""
@@ -90,9 +89,8 @@ class BlockHadamard:
             group = slice(start, start + size * sizes.count(size))
             # A stage moves the first bit of a place behind its last one. So the bits of an index
             # within its block, the lowest first, lie before the number of the block, then behind.
-            bits = np.arange(group.start, group.stop).reshape(
-                -1, max(size // 2, 1), min(size, 2)
-            )
+            index = np.arange(group.start, group.stop)
+            bits = index.reshape(-1, max(size // 2, 1), min(size, 2))
             self.order_in[group] = bits.transpose(2, 1, 0).ravel()
             self.order_out[group] = bits.transpose(0, 2, 1).ravel()
             self._groups.append((group, size.bit_length() - 1))
@@ -118,6 +116,7 @@ class BlockHadamard:
                     (np.subtract, (low, high, differences)),
                 ]
                 source, target = target, source
+            # The result of an odd number of stages is in the scratch.
             if n_stages % 2:
                 calls.append((np.copyto, (target, source)))
         return calls
@@ -146,6 +145,7 @@ class CompiledHadamard:
 
     def program(self, v: Floats) -> list[Call]:
         """The calls that transform v, float32 (n,), in place."""
+        # Scaled by the compressor: for the bits of `BlockHadamard`, in the order of its rows.
         unscaled = np.empty(0, dtype=np.float32)
         return [(self._loop, (v, self._groups, unscaled))]
 
@@ -190,9 +190,8 @@ class HadamardProducts:
 
     def back(self, rows: Floats) -> Floats:
         """Return W^T rows, float32 (n,), from `order_out` to `order_in`."""
-        return np.concatenate(
-            [_product_back(rows[part], a, b) for part, a, b in self._groups]
-        )
+        parts = [_product_back(rows[part], a, b) for part, a, b in self._groups]
+        return np.concatenate(parts)
 
 
 def _orthonormal(size: int) -> Floats:

@@ -50,9 +50,8 @@ class SubsamplePhi(RotatingPhi):
 
     def __init__(self, n: int, m: int, seed: int, block: int = BLOCK) -> None:
         super().__init__(n, m, seed, block)
-        self._order: Indices = (
-            np.random.default_rng(seed).permutation(n).astype(np.intp)
-        )
+        rng = np.random.default_rng(seed)
+        self._order: Indices = rng.permutation(n).astype(np.intp)
         self._keep(np.sort(self._order[:m]))
 
     def block_layout(self) -> BlockLayout | None:

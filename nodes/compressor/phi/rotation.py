@@ -52,7 +52,7 @@ def split_rows(order: Indices, m: int) -> list[Indices]:
     where m does not divide n some rows twice.
     """
     n = order.size
-    n_subsets = -(-order.size // m)
+    n_subsets = math.ceil(n / m)
     starts = [subset * n // n_subsets for subset in range(n_subsets)]
     return [np.sort(np.roll(order, -start)[:m]) for start in starts]
 
@@ -64,10 +64,11 @@ def split_evenly(order: Indices, m: int, n_subsets: int | None = None) -> list[I
     k m / n, to less than one. Together they hold P m rows, or all and some of them twice.
     """
     n = order.size
-    n_subsets = n_subsets or -(-n // m)
+    n_subsets = n_subsets or math.ceil(n / m)
+    # In whole numbers: how many rows of a sample are among the first 0, 1, .. n of the order.
     steps = np.arange(n + 1, dtype=np.int64) * m * n_subsets
-    passed = [(steps + subset * n) // (n * n_subsets) for subset in range(n_subsets)]
-    return [np.sort(order[np.diff(count) > 0]) for count in passed]
+    counts = [(steps + subset * n) // (n * n_subsets) for subset in range(n_subsets)]
+    return [np.sort(order[np.diff(count) > 0]) for count in counts]
 
 
 class RotatingPhi(Phi):
@@ -94,6 +95,7 @@ class RotatingPhi(Phi):
 
     def _twins(self, subsets: Sequence[Indices]) -> list[Phi]:
         """Return a matrix of each row subset; it shares the arrays of this one."""
+        # Copies share permutation and work arrays: of many subsets each would take as much again.
         twins = [copy(self) for _ in subsets]
         for twin, rows in zip(twins, subsets, strict=True):
             twin._keep(rows)

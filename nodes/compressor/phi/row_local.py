@@ -45,7 +45,8 @@ class RowLocalPhi(RotatingPhi):
     def __init__(self, n: int, m: int, seed: int, block: int = BLOCK) -> None:
         super().__init__(n, m, seed, block)
         root = math.isqrt(n)
-        self._arrange(*((root, root) if root * root == n else (n, 1)))
+        shape = (root, root) if root * root == n else (n, 1)
+        self._arrange(*shape)
 
     def _lay_out(self, exists: Mask) -> None:
         n_rows, n_cols = exists.shape
@@ -66,14 +67,13 @@ class RowLocalPhi(RotatingPhi):
         self.shape = (n_rows, n_cols)
         rng = np.random.default_rng(self.seed)
         size = 1 << (n_cols - 1).bit_length()
+        # The pattern of all columns, row 0, stays the first.
         order = np.append(0, 1 + rng.permutation(size - 1))
-        signs = _independent(
-            hadamard_matrix(size)[np.ix_(order, rng.permutation(n_cols))]
-        )
-        b = signs / math.sqrt(n_cols)
-        self._lipschitz = (
-            math.ceil(float(np.linalg.eigvalsh(b @ b.T)[-1]) * 1e4 - 1e-2) / 1e4
-        )
+        shuffled = np.ix_(order, rng.permutation(n_cols))
+        b = _independent(hadamard_matrix(size)[shuffled]) / math.sqrt(n_cols)
+        # To four decimals: the last bits of a linear algebra library do not reach the solver.
+        largest = float(np.linalg.eigvalsh(b @ b.T)[-1])
+        self._lipschitz = math.ceil(largest * 1e4 - 1e-2) / 1e4
         self.patterns: Floats = b.astype(np.float32)
         self.patterns.setflags(write=False)
         self._order = np.arange(self.n, dtype=np.intp)
@@ -123,9 +123,8 @@ def _independent(signs: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
     orthonormal = np.zeros((0, n_cols))
     for k, row in enumerate(signs):
         residual = row - orthonormal.T @ (orthonormal @ row)
-        residual -= orthonormal.T @ (
-            orthonormal @ residual
-        )  # once more, for the rounding
+        # Once more, for the rounding.
+        residual -= orthonormal.T @ (orthonormal @ residual)
         length = float(np.linalg.norm(residual))
         if length > 1e-6:
             independent.append(k)

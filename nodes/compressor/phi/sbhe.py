@@ -73,7 +73,8 @@ class SbhePhi(RotatingPhi):
             self._order, self._by_block = spread_order(self.sizes, rng)
         self._arrange(permutation)
         # A line of the cache apart: of a power of two both would compete for the same places.
-        self._v, scratch = np.zeros((2, n + 16), dtype=np.float32)[:, :n]
+        work = np.zeros((2, n + 16), dtype=np.float32)
+        self._v, scratch = work[:, :n]
         self._transform = self._hadamard.program(self._v, scratch)
         self._transposed = self._hadamard.program(self._v, scratch, back=True)
         self._keep(np.sort(self._order[:m]))
@@ -92,7 +93,7 @@ class SbhePhi(RotatingPhi):
 
     def _keep(self, rows: Indices, *_: Any) -> None:
         super()._keep(rows, self.block, self.permutation)
-        # Place in its transform of each measurement.
+        # The transform leaves row order_out[p] at place p.
         self._places: Indices = np.argsort(self._hadamard.order_out)[rows]
         self._lay_forward()
         size = np.repeat(self.sizes, self.sizes)[rows].astype(np.float32)
@@ -164,9 +165,11 @@ def spread_order(
     by_block = np.lexsort((rng.random(n), block_of_row)).astype(np.intp)
 
     # The sum is the first row of its block. Blocks of one size come in a random order.
+    all_sizes = np.array(sizes)
     shuffled = rng.permutation(len(sizes))
-    blocks = shuffled[np.argsort(-np.array(sizes)[shuffled], kind="stable")]
-    sums = (np.cumsum(sizes) - sizes)[blocks].astype(np.intp)
+    blocks = shuffled[np.argsort(-all_sizes[shuffled], kind="stable")]
+    first_rows = np.cumsum(sizes) - sizes
+    sums = first_rows[blocks].astype(np.intp)
 
     # The other rows block by block, with those that identify taxels first.
     least = least_m(sizes)
@@ -175,10 +178,12 @@ def spread_order(
 
     # The blocks take turns in proportion to their rows. A row that is needed at a smaller M comes
     # earlier than at its turn; then a part of M is left to the rows before it.
-    turns = blocks[in_proportion((np.array(sizes)[blocks] - 1).tolist())]
-    place = sums.size + np.argsort(turns, kind="stable")
+    n_others = all_sizes[blocks] - 1
+    turns = blocks[in_proportion(n_others.tolist())]
+    turn = sums.size + np.argsort(turns, kind="stable")
     needed_at = np.where(least > n, least, least - least // PART)
-    others = others[np.argsort(np.minimum(place, needed_at[others]), kind="stable")]
+    place = np.minimum(turn, needed_at[others])
+    others = others[np.argsort(place, kind="stable")]
     return np.concatenate([sums, others]), by_block
 
 
@@ -218,11 +223,13 @@ def split_with_sums(sizes: Sequence[int], by_block: Indices, m: int) -> list[Ind
     subsets are half the subsets apart.
     """
     n = by_block.size
-    sums = (np.cumsum(sizes) - sizes)[np.equal(sizes, max(sizes))]
+    first_rows = np.cumsum(sizes) - sizes
+    sums = first_rows[np.equal(sizes, max(sizes))]
     always = by_block[:0]
     if m >= 2 * LEAST_M:
         always = by_block[least_m(sizes)[by_block] <= m]
-    others = by_block[~np.isin(by_block, np.concatenate([sums, always]))]
+    is_placed = np.isin(by_block, np.concatenate([sums, always]))
+    others = by_block[~is_placed]
 
     m_in_turn = m - always.size
     has_few_sums = sums.size * m_in_turn < n - always.size
@@ -233,8 +240,9 @@ def split_with_sums(sizes: Sequence[int], by_block: Indices, m: int) -> list[Ind
         parts = [np.append(part, sums[k % sums.size]) for k, part in enumerate(parts)]
     else:
         parts = split_evenly(np.concatenate([sums, others]), m_in_turn)
-    parts = [np.sort(np.concatenate([part, always])) for part in parts]
-    return parts[::2] + parts[1::2]
+    subsets = [np.sort(np.concatenate([part, always])) for part in parts]
+    # Samples that share rows are neighbours: in this order they are half the subsets apart.
+    return subsets[::2] + subsets[1::2]
 
 
 def in_proportion(numbers: Sequence[int]) -> Indices:
@@ -251,7 +259,8 @@ def in_proportion(numbers: Sequence[int]) -> Indices:
     spans: list[tuple[int, int, int]] = []
     for b, number in enumerate(numbers):
         for k in range(number):
-            spans.append((k * n // number, -((k + 1) * n // -number), b))
+            latest = -((k + 1) * n // -number)
+            spans.append((k * n // number, latest, b))
     spans.sort()
 
     order = np.empty(n, dtype=np.intp)
@@ -285,9 +294,8 @@ class LocalSbhePhi(SbhePhi):
     ) -> None:
         super().__init__(n, m, seed, block, rule)
         root = math.isqrt(n)
-        self._lay_out(
-            np.ones((root, root) if root * root == n else (1, n), dtype=np.bool_)
-        )
+        shape = (root, root) if root * root == n else (1, n)
+        self._lay_out(np.ones(shape, dtype=np.bool_))
 
     def _lay_out(self, exists: Mask) -> None:
         rng = np.random.default_rng(self.seed)
@@ -302,13 +310,13 @@ def neighbourhood_order(exists: Mask, side: int, rng: np.random.Generator) -> In
     n_rows, n_cols = exists.shape
     number = np.cumsum(exists.ravel()).reshape(exists.shape) - 1
     parts = []
-    for k, top in enumerate(range(0, n_rows, side)):
-        lefts = list(range(0, n_cols, side))
-        if k % 2:
-            lefts.reverse()
+    lefts = list(range(0, n_cols, side))
+    for top in range(0, n_rows, side):
         for left in lefts:
             window = np.s_[top : top + side, left : left + side]
             parts.append(rng.permutation(number[window][exists[window]]))
+        # To and fro: a block that goes on in the next neighbourhood stays in one piece of skin.
+        lefts.reverse()
     order: Indices = np.concatenate(parts).astype(np.intp)
     return order
 
@@ -318,6 +326,7 @@ def local_class(text: str) -> type[LocalSbhePhi]:
     """The class of a kind "local:SIDE". Raises PhiError unless SIDE is a whole number in
     1..4096.
     """
+    # Six digits tell that the number is too large: int() takes long of thousands.
     if not (text.isascii() and text.isdigit() and 1 <= int(text[:6]) <= MAX_SIDE):
         expected = f"local:SIDE, the side of a neighbourhood in cells, 1..{MAX_SIDE}"
         raise PhiError(f'phi "local:{text[:40]}": expected {expected}')

@@ -67,8 +67,9 @@ class StoredPhi(Phi):
         """Measure by this matrix."""
         arrays = matrix.indices, matrix.indptr, matrix.data
         self.fingerprint = fingerprint_of("file", self.n, self.m, 1, *arrays)
-        full = matrix.nnz > FULL_PART * self.m * self.n
-        self._matrix = matrix.toarray() if full else matrix
+        self._matrix = matrix
+        if matrix.nnz > FULL_PART * self.m * self.n:
+            self._matrix = matrix.toarray()
         self._transposed = self._matrix.T
 
     @cached_property
@@ -79,9 +80,9 @@ class StoredPhi(Phi):
         too small.
         """
         size = abs(self._matrix)
-        of_column, of_row = (
-            float(size.sum(axis=axis, dtype=float).max()) for axis in (0, 1)
-        )
+        of_column = float(size.sum(axis=0, dtype=float).max())
+        of_row = float(size.sum(axis=1, dtype=float).max())
+        # A random vector has a part along the largest eigenvector, which each step enlarges most.
         x = np.random.default_rng(0).standard_normal(self.n, dtype=np.float32)
         largest = 0.0
         for _ in range(N_POWER_STEPS):
@@ -110,6 +111,7 @@ class StackedPhi(StoredPhi):
         matrices = load_matrices(self.path)
         twins = [copy(self) for _ in matrices]
         for twin, matrix in zip(twins, matrices, strict=True):
+            # Computed of the first matrix, and copied with it.
             vars(twin).pop("lipschitz", None)
             twin._keep(matrix)
         # A solver has one step size for all of them.
@@ -122,6 +124,7 @@ class StackedPhi(StoredPhi):
 def load_matrices(path: str) -> tuple[csr_array, ...]:
     """Read and check the matrices of a file, float32 (m, n); PhiError as of `StoredPhi`."""
     try:
+        # Opening a pipe would wait for its writer.
         status = Path(path).stat()
         if not Path(path).is_file():
             raise PhiError("is no file")
@@ -131,18 +134,17 @@ def load_matrices(path: str) -> tuple[csr_array, ...]:
     except (ArrayFileError, PhiError) as error:
         raise PhiError(f"{path}: {error}") from error
     except (OSError, ValueError) as error:
-        raise PhiError(
-            f"{path}: cannot be read: {getattr(error, 'strerror', error)}"
-        ) from error
+        why = getattr(error, "strerror", error)
+        raise PhiError(f"{path}: cannot be read: {why}") from error
 
 
 @functools.lru_cache(maxsize=4)
 def _load(path: str, _of: tuple[int, int, int]) -> tuple[csr_array, ...]:
     """As above, of one form of the file."""
     raw = Path(path).read_bytes()
-    arrays = (
-        read_npz(raw, _wanted, MAX_ARRAY_BYTES) if is_npz(raw) else {"": read_npy(raw)}
-    )
+    if not is_npz(raw):
+        return _checked_stack(read_npy(raw))
+    arrays = read_npz(raw, _wanted, MAX_ARRAY_BYTES)
     if len(arrays) == 1 and not arrays.keys() & set(_NAMES):
         (stack,) = arrays.values()
         return _checked_stack(stack)
@@ -179,13 +181,10 @@ def _checked(arrays: dict[str, npt.NDArray[Any]]) -> csr_array:
                 f"has no array {name}; expected a file of scipy.sparse.save_npz"
             )
     kind = arrays["format"]
-    data = arrays["data"]
-    if (
-        kind.shape != ()
-        or kind.dtype.kind not in "SU"
-        or str(kind.astype(str)) != "csr"
-    ):
+    is_text = kind.shape == () and kind.dtype.kind in "SU"
+    if not is_text or str(kind.astype(str)) != "csr":
         raise PhiError('format: expected "csr"; convert it by matrix.tocsr()')
+    data = arrays["data"]
     for name in ("indices", "indptr", "shape"):
         if arrays[name].ndim != 1 or arrays[name].dtype.kind not in "iu":
             raise PhiError(f"{name}: expected a list of whole numbers")
@@ -196,6 +195,7 @@ def _checked(arrays: dict[str, npt.NDArray[Any]]) -> csr_array:
     m, n = arrays["shape"].tolist()
     if not 1 <= m <= n <= MAX_ELEMENTS:
         raise PhiError(f"shape: {m} x {n}; allowed: 1 <= m <= n <= {MAX_ELEMENTS}")
+    # A copy: the arrays are views of the bytes of the file, which cannot be written to.
     try:
         parts = _in_float32(data), arrays["indices"], arrays["indptr"]
         matrix = csr_array(parts, shape=(m, n), copy=True)
@@ -206,11 +206,13 @@ def _checked(arrays: dict[str, npt.NDArray[Any]]) -> csr_array:
 
 
 def _in_float32(numbers: npt.NDArray[Any]) -> Floats:
+    # What overflows becomes infinite, and is refused by `_finite`.
     with np.errstate(all="ignore"):
         return numbers.astype(np.float32)
 
 
 def _finite(matrix: csr_array) -> csr_array:
+    # Not `>`: NaN is no entry, either.
     size = abs(matrix)
     if not (size.data <= MAX_ENTRY).all():
         raise PhiError(f"data: expected finite numbers of at most {MAX_ENTRY:g}")

@@ -48,9 +48,8 @@ class Notices:
             current.append((BAD, f"The monitor has not responded for {ago(silent_s)}."))
         graph_age_s = now_s - feed.graph_came_s
         if feed.graph is not None and graph_age_s > GRAPH_S:
-            current.append(
-                (BAD, f"No state of the nodes has arrived for {ago(graph_age_s)}.")
-            )
+            age = ago(graph_age_s)
+            current.append((BAD, f"No state of the nodes has arrived for {age}."))
 
         if feed.start is not None:
             current.append((START, feed.start.text))
@@ -94,11 +93,8 @@ class Notices:
             yield from _of_ages(patch, now_s)
 
         if patch.latency_s > max(LATE_S, patch.stale_s) and not patch.ended:
-            late = ago(patch.latency_s)
-            yield (
-                BAD,
-                f"frames are reconstructed {late} late: the graph cannot keep up.",
-            )
+            late = f"frames are reconstructed {ago(patch.latency_s)} late"
+            yield BAD, f"{late}: the graph cannot keep up."
         n_lost = self._risen(f"lost {name}", patch.lost, now_s)
         if n_lost:
             frames = "frames" if n_lost > 1 else "frame"
@@ -136,13 +132,12 @@ def _of_ages(patch: PatchFeed, now_s: float) -> Iterator[Notice]:
     if newest_s > patch.stale_s:
         yield BAD, f"stale: no new frame for {ago(newest_s)}."
     elif reconstructed_s is None:
+        # The first frame may still be under way.
         if patch.n_maps > 1:
             yield BAD, "frames are sensed, none is reconstructed."
     elif reconstructed_s > patch.stale_s:
-        yield (
-            BAD,
-            f"stale: frames are sensed, none reconstructed for {ago(reconstructed_s)}.",
-        )
+        age = ago(reconstructed_s)
+        yield BAD, f"stale: frames are sensed, none reconstructed for {age}."
 
 
 def _grouped(by_patch: Mapping[str, list[Notice]]) -> list[Notice]:
@@ -161,9 +156,8 @@ def _grouped(by_patch: Mapping[str, list[Notice]]) -> list[Notice]:
     for (tone, _), of_kind in kinds.items():
         if len(of_kind) > FEW:
             name, text = of_kind[0]
-            grouped.append(
-                (tone, f"{name} and {len(of_kind) - 1} other patches: {text}")
-            )
+            names = f"{name} and {len(of_kind) - 1} other patches"
+            grouped.append((tone, f"{names}: {text}"))
         else:
             grouped += [(tone, f"{name}: {text}") for name, text in of_kind]
     return grouped

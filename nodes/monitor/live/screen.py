@@ -27,9 +27,8 @@ def screen(feed: Feed, notices: Notices, status: str) -> str:
         lines = [_title(graph, current)]
         if graph.get("recording"):
             lines.append(f"recording {graph['recording']}")
-        states = [
-            f"{node['name']}: {node['condition']}" for node in graph.get("nodes", [])
-        ]
+        nodes = graph.get("nodes", [])
+        states = [f"{node['name']}: {node['condition']}" for node in nodes]
         lines += textwrap.wrap(", ".join(states), WIDTH)
         lines += [text for _, text in host_lines(graph)]
 
@@ -44,9 +43,10 @@ def screen(feed: Feed, notices: Notices, status: str) -> str:
         # What was measured.
         for line in status.split("\n"):
             lines += textwrap.wrap(line, WIDTH)
-        summaries = {
-            name: patch.summary for name, patch in feed.patches.items() if patch.summary
-        }
+        summaries = {}
+        for name, patch in feed.patches.items():
+            if patch.summary:
+                summaries[name] = patch.summary
         if summaries:
             lines += summary_table(summaries).split("\n")
     return "\n".join(line[:WIDTH] for line in lines)
@@ -55,12 +55,11 @@ def screen(feed: Feed, notices: Notices, status: str) -> str:
 def _title(graph: Mapping[str, Any], current: Iterable[Notice]) -> str:
     """Name of the graph, and its state flush right."""
     tones = {tone for tone, _ in current}
+    state = "live"
     if BAD in tones:
         state = "FAULT"
     elif START in tones:
         state = "starting"
-    else:
-        state = "live"
     name = f"sparseskin  {graph.get('name', '')}"
     room = WIDTH - len(state)
     return name[: room - 2].ljust(room) + state

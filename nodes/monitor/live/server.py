@@ -80,6 +80,7 @@ class PageServer(ThreadingHTTPServer):
         try:
             super().__init__((ADDRESS, port), _Handler)
         except OSError:
+            # The port is busy, as by another graph.
             try:
                 super().__init__((ADDRESS, 0), _Handler)
             except OSError as error:
@@ -112,11 +113,10 @@ class PageServer(ThreadingHTTPServer):
         self._max_connections = max(4, min(MAX_CONNECTIONS, free))
         self.max_pages = min(MAX_PAGES, self._max_connections // 2)
 
-        options = {"poll_interval": POLL_S}
-        self._thread = threading.Thread(
-            target=self.serve_forever, kwargs=options, daemon=True
+        thread = threading.Thread(
+            target=self.serve_forever, args=(POLL_S,), daemon=True
         )
-        self._thread.start()
+        thread.start()
 
     def close(self) -> None:
         """Send the end to the pages, wait at most 1 s for them, and stop."""
@@ -168,11 +168,8 @@ class PageServer(ThreadingHTTPServer):
     def _end_oldest(self) -> None:
         """End the connection that has waited longest: whoever holds all of them locks none out."""
         with self._lock:
-            waiting = [
-                connection
-                for connection, due_s in self._due_s.items()
-                if due_s < math.inf
-            ]
+            # Streams, which have no end of their own, are counted elsewhere.
+            waiting = [c for c, due_s in self._due_s.items() if due_s < math.inf]
             if waiting:
                 del self._due_s[waiting[0]]
                 _end(waiting[0])
@@ -210,6 +207,11 @@ class _RefusedError(Exception):
     def __init__(self, status: HTTPStatus, text: str) -> None:
         super().__init__(text)
         self.status = status
+
+
+class _ForbiddenError(_RefusedError):
+    def __init__(self, text: str) -> None:
+        super().__init__(HTTPStatus.FORBIDDEN, text)
 
 
 def _is_request(body: Any) -> bool:
@@ -250,9 +252,8 @@ class _Handler(BaseHTTPRequestHandler):
             try:
                 url = urlsplit(self.path)
             except ValueError:
-                raise _RefusedError(
-                    HTTPStatus.BAD_REQUEST, "malformed address"
-                ) from None
+                fault = "malformed address"
+                raise _RefusedError(HTTPStatus.BAD_REQUEST, fault) from None
             self._check_token(url)
             action(url)
         except _RefusedError as refusal:
@@ -304,30 +305,24 @@ class _Handler(BaseHTTPRequestHandler):
 
     def _check_local(self) -> None:
         """Refuse requests that another site makes a browser send: a foreign Host or Origin."""
+        # By a name of its own that leads here, another site could read the answers.
         host = self.headers.get("Host", "")
         name = host
         if ":" in host and not host.endswith("]"):
             name = host.rpartition(":")[0]
         if name not in HOSTS:
-            raise _RefusedError(
-                HTTPStatus.FORBIDDEN, f"Host {host[:64]!r} is not this page's"
-            )
+            raise _ForbiddenError(f"Host {host[:64]!r} is not this page's")
 
         # A browser states from which site a request comes.
         origin = self.headers.get("Origin")
         if origin is not None and origin != f"http://{host}":
-            raise _RefusedError(
-                HTTPStatus.FORBIDDEN, f"Origin {origin[:64]!r} is not this page's"
-            )
+            raise _ForbiddenError(f"Origin {origin[:64]!r} is not this page's")
 
+        # A link of another site may open the page itself, nothing else.
         site = self.headers.get("Sec-Fetch-Site")
-        if (
-            site not in (None, "same-origin", "none")
-            and self.path.partition("?")[0] != "/"
-        ):
-            raise _RefusedError(
-                HTTPStatus.FORBIDDEN, "asked for by a page of another site"
-            )
+        is_ours = site in (None, "same-origin", "none")
+        if not is_ours and self.path.partition("?")[0] != "/":
+            raise _ForbiddenError("asked for by a page of another site")
 
     def _check_token(self, url: SplitResult) -> None:
         """Refuse who shows the token neither in the address nor in the page's cookie."""
@@ -342,7 +337,8 @@ class _Handler(BaseHTTPRequestHandler):
         equal = [_is_equal(text, token) for text in tokens]
         if not any(equal):
             text = "this page asks for a token: open the address that the graph has printed"
-            raise _RefusedError(HTTPStatus.FORBIDDEN, text)
+            raise _ForbiddenError(text)
+        # The files of the page are asked for without it.
         if in_address:
             self._cookie = f"{name}={token}; Path=/; HttpOnly; SameSite=Strict"
 

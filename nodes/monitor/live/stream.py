@@ -30,17 +30,8 @@ STATE_S = 0.1
 MOST = 16
 """Contacts of a patch that are sent: the strongest ones."""
 CONTACT_FIELDS = (
-    *(
-        "id",
-        "total",
-        "total_sd",
-        "centre",
-        "area",
-        "velocity",
-        "age_s",
-        "over",
-        "sliding",
-    ),
+    *("id", "total", "total_sd", "centre", "area", "velocity"),
+    *("age_s", "over", "sliding"),
     *("place_mm", "area_mm2", "velocity_mm_s", "normal"),
 )
 SKIN_FIELDS = (
@@ -125,14 +116,17 @@ class StreamReader:
                 return
             if frame_s > 0:
                 feed.changed.wait(min(frame_s, state_s))
-            elif any(
-                feed.patches[name].n_maps != self._n_maps[name] for name in self._names
-            ):
+            elif self._has_new_maps():
                 return
             else:
+                # Frames notify only those who are counted here.
                 feed.n_waiting += 1
                 feed.changed.wait(state_s)
                 feed.n_waiting -= 1
+
+    def _has_new_maps(self) -> bool:
+        patches = self._feed.patches
+        return any(patches[name].n_maps != self._n_maps[name] for name in self._names)
 
     def _collect(self, now_s: float, closed: bool) -> Iterator[Part]:
         feed = self._feed
@@ -147,9 +141,8 @@ class StreamReader:
         if not closed and now_s < self._frame_due_s:
             return
         # The next is due one period after this one was due: delays do not add up.
-        self._frame_due_s = (
-            max(self._frame_due_s, now_s - SLACK_S) + self._period_s - SLACK_S
-        )
+        due_s = max(self._frame_due_s, now_s - SLACK_S)
+        self._frame_due_s = due_s + self._period_s - SLACK_S
         for name in self._names:
             patch = feed.patches[name]
             if patch.skin is None:

@@ -66,7 +66,6 @@ class Basis(ABC):
         image : ndarray of float32, shape (n_rows, n_cols) or (k, n_rows, n_cols)
             Forces, newtons; or k such frames.
 
-
         Returns
         -------
         ndarray of float32, of the same shape
@@ -99,8 +98,8 @@ class Basis(ABC):
     ) -> Floats:
         shape = (self.n_rows, self.n_cols)
 
-        def flat(one: Floats, result: Floats) -> None:
-            apply(one.reshape(-1), result.reshape(-1))
+        def flat(argument: Floats, result: Floats) -> None:
+            apply(argument.reshape(-1), result.reshape(-1))
 
         return each_frame(flat, given, (shape, shape), f"basis: {name}", SolverError)
 
@@ -144,12 +143,11 @@ def make_basis(name: str, n_rows: int, n_cols: int) -> Basis:
         raise SolverError(
             f'basis "{name}" does not take n_rows, n_cols: {cause}'
         ) from cause
-    missing = [
-        attribute for attribute in _INTERFACE if not hasattr(instance, attribute)
-    ]
+    missing = [member for member in _INTERFACE if not hasattr(instance, member)]
     if missing:
         raise SolverError(f'basis "{name}" is no basis: it lacks {", ".join(missing)}')
     basis: Basis = instance
+    # One of the user's own, that is no `Basis`, need not have a label.
     if getattr(basis, "label", None) == "":
         basis.label = name
     return basis

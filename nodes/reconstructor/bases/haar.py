@@ -46,14 +46,9 @@ class SeparableBasis(Basis):
         for rows, cols in level_sizes(self.n_rows, self.n_cols)[:n_levels]:
             # Those of Haar become 1 and 1/2, which float32 does not round.
             scale = np.sqrt(2) if rows > 1 and cols > 1 else 1.0
-            matrices = (
-                matrix(rows) * scale,
-                matrix(cols) / scale,
-                np.zeros((rows, cols)),
-            )
-            along_rows, along_cols, half = (
-                array.astype(np.float32) for array in matrices
-            )
+            along_rows = (matrix(rows) * scale).astype(np.float32)
+            along_cols = (matrix(cols) / scale).astype(np.float32)
+            half = np.zeros((rows, cols), dtype=np.float32)
             self._levels.append((along_rows, along_cols, half))
 
     def _analysis(self, image: Floats, out: Floats) -> None:
@@ -103,9 +98,13 @@ def level_matrix(n: int) -> Doubles:
     """Return one level along a side of n: approximations first, float64 (n, n), orthonormal."""
     half = n // 2
     level = np.zeros((n, n))
-    i = np.arange(half)
-    level[i, 2 * i] = level[i, 2 * i + 1] = level[n - half + i, 2 * i] = np.sqrt(0.5)
-    level[n - half + i, 2 * i + 1] = -np.sqrt(0.5)
+    pair = np.arange(half)
+    detail = n - half + pair
+    level[pair, 2 * pair] = np.sqrt(0.5)
+    level[pair, 2 * pair + 1] = np.sqrt(0.5)
+    level[detail, 2 * pair] = np.sqrt(0.5)
+    level[detail, 2 * pair + 1] = -np.sqrt(0.5)
+    # A sample without a partner goes on as it is.
     if n % 2:
         level[half, n - 1] = 1
     return level
@@ -116,5 +115,6 @@ def level_sizes(rows: int, cols: int) -> list[tuple[int, int]]:
     sizes = []
     while rows > 1 or cols > 1:
         sizes.append((rows, cols))
-        rows, cols = (rows + 1) // 2, (cols + 1) // 2
+        rows = (rows + 1) // 2
+        cols = (cols + 1) // 2
     return sizes

@@ -93,9 +93,15 @@ class Uncertainty:
 
     def _add_change(self, forces: Floats) -> None:
         """Update both means, excluding a change of all forces by the same factor."""
+        # The factor by which the mean is nearest to the forces.
         power = float(np.vdot(self._mean, self._mean))
-        gain = float(np.vdot(forces, self._mean)) / power if power > 0 else 1.0
-        mean = np.float32(gain if math.isfinite(gain) else 1.0) * self._mean
+        gain = 1.0
+        if power > 0:
+            gain = float(np.vdot(forces, self._mean)) / power
+        # Squares of tiny forces are 0, or overflow in the quotient.
+        if not math.isfinite(gain):
+            gain = 1.0
+        mean = np.float32(gain) * self._mean
         change = forces - mean
         self._mean = mean + MEAN_RATE * change
         self._changes += RATE * (np.square(change) - self._changes)

@@ -42,6 +42,7 @@ class OffsetRows:
 
         size = np.abs(phi.forward(np.ones(phi.n, dtype=np.float32)))
         self.light: Mask = shared(size <= HEAVY * size.max())
+        # Rows ascend: those of a block follow one another.
         is_first = np.diff(_blocks_of(phi), prepend=-1) > 0
         self.starts = np.flatnonzero(is_first)
         self.block = shared(np.cumsum(is_first) - 1)
@@ -99,15 +100,19 @@ class OffsetWatch:
         if innovation.size * change**2 <= (SIGNIFICANT * self._noise_sd) ** 2 / 2:
             return self.value
 
+        # The variance within blocks: a contact that presses some of them is none of it.
         light = np.where(rows.light, innovation - np.float32(self.value), 0)
         means = np.add.reduceat(light, rows.starts) / rows.n_light
         common = float(light.sum() / rows.n_light.sum())
         within = rows.light * (light - means[rows.block])
         variance = max(float(within @ within) / innovation.size, self._noise_sd**2)
+
+        # The offset changes where the common change is significant, and no block contradicts it.
         weight = innovation.size / variance
         z2_of_blocks = rows.n_light * np.square(means - common) / variance
         if weight * common**2 > SIGNIFICANT**2 and z2_of_blocks.max() < UNLIKE**2:
             self.value += common
+            # One that has gone leaves no rest behind.
             if weight * self.value**2 < SIGNIFICANT**2:
                 self.value = 0.0
         return self.value

@@ -87,10 +87,12 @@ class RepeatWatch:
         self.faulty = None
         state = self._subsets.get(subset)
 
-        # A hung board repeats whole frames; with rotating rows, those of other rows, too.
-        is_repeated = self._repeats_last(y) or (
-            state is not None and _are_equal(state.y, y)
-        )
+        # A hung board repeats whole frames: whatever rows these claim to be of, and where it still
+        # takes turns, those of the same rows.
+        earlier = [self._last_y]
+        if state is not None:
+            earlier.append(state.y)
+        is_repeated = any(_are_equal(last_y, y) for last_y in earlier)
         self._n_frozen = self._n_frozen + 1 if is_repeated else 0
         self._last_y = y
 
@@ -105,10 +107,6 @@ class RepeatWatch:
             self._compare(state, y, has_noise)
         return reason
 
-    def _repeats_last(self, y: Floats) -> bool:
-        """True if a frame repeats the one before, whatever its rows: a hung board sends it."""
-        return self._last_y is not None and _are_equal(self._last_y, y)
-
     def _has_noise(self, y: Floats) -> bool:
         if self._least_sd > 0:
             return self._least_sd > LEAST_NOISE * step_of(y)
@@ -119,6 +117,7 @@ class RepeatWatch:
         n_lowest = int(np.count_nonzero(y == y.min()))
         if n_lowest == y.size and y.size >= n_least:
             return Reason.CONSTANT
+        # Of a few quantised measurements, all may repeat by chance: each with one half at most.
         if self._n_frozen >= FRAMES and 0.5 ** (self._n_frozen * y.size) < CHANCE:
             return Reason.FROZEN
         n_highest = int(np.count_nonzero(y == y.max()))
@@ -169,5 +168,8 @@ def least_ties(m: int, is_quantised: bool) -> int:
     return 4
 
 
-def _are_equal(a: Floats, b: Floats) -> bool:
-    return a.size == b.size and a[0] == b[0] and bool(np.array_equal(a, b))
+def _are_equal(last_y: Floats | None, y: Floats) -> bool:
+    if last_y is None or last_y.size != y.size:
+        return False
+    # The first ones differ in nearly all frames.
+    return last_y[0] == y[0] and bool(np.array_equal(last_y, y))

@@ -45,9 +45,8 @@ class Verdict(NamedTuple):
     forces: Floats
     reason: str
     rows: tuple[int, ...] = ()
-    is_solved: bool = (
-        True  # False: the measurements hold nothing, the forces are the last ones
-    )
+    is_solved: bool = True
+    """False: the measurements hold nothing, the forces are the last ones."""
 
 
 class FaultWatch:
@@ -146,11 +145,12 @@ class FaultWatch:
         return reason or ""
 
     def _without_offset(self, solver: Any, phi: Phi, y: Floats) -> Floats:
-        # What is expected takes a transform.
+        # What is expected takes a transform: it is not computed where no offset can be seen.
         if self._offset is None or not self._offset.rows_of(phi).is_told_apart:
             return y
         offset = self._offset.look(phi, np.asarray(y - solver.expected(phi)))
         has_offset = offset != 0
+        # Only its begin and its end are worth a line.
         if has_offset != self._was_offset:
             self._was_offset = has_offset
             offset_text = "no offset"
@@ -177,12 +177,13 @@ class FaultWatch:
 
     def _mixes(self, phi: Phi) -> bool:
         """True if each measurement sums several taxels: single ones repeat where they are 0."""
-        if phi.fingerprint not in self._mixing:
+        mixes = self._mixing.get(phi.fingerprint)
+        if mixes is None:
+            # Of rows that are chosen anew, no measurement is of the same taxels as before.
             chooses = bool(phi_fact(phi, "choice"))
-            self._mixing[phi.fingerprint] = (
-                not chooses and mixed_taxels(phi) >= LEAST_MIXED
-            )
-        return self._mixing[phi.fingerprint]
+            mixes = not chooses and mixed_taxels(phi) >= LEAST_MIXED
+            self._mixing[phi.fingerprint] = mixes
+        return mixes
 
     def _verdict(self, forces: Floats, reason: str) -> Verdict:
         return Verdict(forces, reason, self._rows_doubted)
@@ -192,13 +193,12 @@ class FaultWatch:
         doubt = getattr(solver, "doubt", None)
         if doubt is None:
             return
-        mean = self._doubts.get(phi.fingerprint)
-        if mean is None:
-            mean = np.zeros(phi.m, dtype=np.float32)
-            self._doubts[phi.fingerprint] = mean
-        last_mean = mean
+        last_mean = self._doubts.get(phi.fingerprint)
+        if last_mean is None:
+            last_mean = np.zeros(phi.m, dtype=np.float32)
         mean = last_mean + np.float32(DOUBT_RATE) * (doubt - last_mean)
         self._doubts[phi.fingerprint] = mean
+        # As in nearly all frames.
         if not self._rows_doubted and mean.max() <= DOUBTED:
             return
         was_doubted = last_mean > DOUBTED
@@ -210,9 +210,8 @@ class FaultWatch:
         self._rows_doubted = self._doubted_rows()
         new = np.flatnonzero(is_doubted & ~was_doubted)
         if len(new):
-            self._note(
-                "rows", f"measurements doubted, no force explains them: {listed(new)}"
-            )
+            fault = "measurements doubted, no force explains them"
+            self._note("rows", f"{fault}: {listed(new)}")
 
     def _doubted_rows(self) -> tuple[int, ...]:
         rows: set[int] = set()

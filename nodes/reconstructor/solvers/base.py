@@ -138,7 +138,7 @@ class Solver(ABC):
         self._inside: Floats = shared(mask.astype(np.float32))
         #: True between `use` and the frame that it is for.
         self._subset_stated = False
-        #: Steps left in the current frame; `setup` sets it, `finish` clears it.
+        #: Steps still to do in the current frame; `setup` sets it, `finish` clears it.
         self._steps_left = 0
         if phi.n != self.taxels.size:
             raise SolverError(
@@ -338,6 +338,7 @@ class RotatingSolver(Solver):
         self._chosen.step()
 
     def finish(self) -> Floats:
+        # One that raises has diverged: the next frame does not start from an earlier one.
         self._last = None
         forces = self._chosen.finish()
         self._last = forces.copy()
@@ -398,20 +399,18 @@ def make_solver(
             raise SolverError(
                 f'solver "{name}": setting "{setting}" is not known{did_you_mean(setting, options)}'
             )
-    check_fast(fast)  # also for a solver without compiled loops
+    # A wrong word is refused by each solver, one without compiled loops too.
+    check_fast(fast)
     if "fast" in parameters:
         settings["fast"] = fast
     try:
         instance = cls(phi=phi, basis=basis, mask=mask, **settings)
     except TypeError as cause:
         raise SolverError(f'solver "{name}" cannot be made: {cause}') from cause
-    missing = [
-        attribute for attribute in _INTERFACE if not hasattr(instance, attribute)
-    ]
+    missing = [member for member in _INTERFACE if not hasattr(instance, member)]
     if missing:
-        raise SolverError(
-            f'solver "{name}" is no solver: it lacks {", ".join(missing)}'
-        )
+        lacks = ", ".join(missing)
+        raise SolverError(f'solver "{name}" is no solver: it lacks {lacks}')
     solver: Solver = instance
     return solver
 
@@ -454,29 +453,25 @@ def estimated_error(solver: Solver) -> tuple[float | None, bool]:
             f"{solver.name}: error = {error!r} is not allowed; allowed: {allowed}"
         )
     if not isinstance(trusted, bool | np.bool_):
-        allowed = "allowed: True, False"
+        allowed = "True, False"
         raise SolverError(
-            f"{solver.name}: trusted = {trusted!r} is not allowed; {allowed}"
+            f"{solver.name}: trusted = {trusted!r} is not allowed; allowed: {allowed}"
         )
-    return None if error is None else float(error), bool(trusted)
+    if error is not None:
+        error = float(error)
+    return error, bool(trusted)
 
 
-def measured(solver: Solver, forces: Floats, *phis: Phi) -> list[Floats]:
-    """Return what each phi measures of a frame of forces, float32 (n_rows, n_cols): (m,) each.
+def measured(solver: Solver, forces: Floats, phi: Phi) -> Floats:
+    """Return what phi measures of a frame of forces, float32 (n_rows, n_cols): (m,).
 
     A solver that has a faster way states it as its method `measured`.
     """
     faster_way = getattr(solver, "measured", None)
-    if faster_way is not None:
-        measurements: list[Floats] = faster_way(forces, *phis)
-        return measurements
-
-    x = forces.reshape(-1)[solver.taxels]
-    by_fingerprint: dict[str, Floats] = {}
-    for phi in phis:
-        if phi.fingerprint not in by_fingerprint:
-            by_fingerprint[phi.fingerprint] = phi.forward(x)
-    return [by_fingerprint[phi.fingerprint] for phi in phis]
+    if faster_way is None:
+        return phi.forward(forces.reshape(-1)[solver.taxels])
+    y: Floats = faster_way(forces, phi)[0]
+    return y
 
 
 def check_reads(name: str, solver: object, kind: str, phi: type) -> None:
@@ -508,6 +503,7 @@ def make_rotating_solver(
     solver = make_solver(name, subsets[0], basis, mask, **settings)
     if len(subsets) == 1:
         return solver
+    # One that does not rotate by itself is made anew for each row subset.
     if not getattr(solver, "rotates", False):
         solvers = {subsets[0].fingerprint: solver}
         for phi in subsets[1:]:

@@ -65,16 +65,16 @@ class CompiledFista:
     def begin(self, y: Floats, warm: Floats | None) -> None:
         """As in `Fista`."""
         if warm is not None:
-            np.multiply(
-                self._basis.analysis(warm).reshape(-1), self._weights, self._theta
-            )
+            theta = self._basis.analysis(warm).reshape(-1)
+            np.multiply(theta, self._weights, self._theta)
         np.copyto(self._before, self._theta)
         self._measured[self._kept] = y * self._scale
 
     def advance(self, betas: Floats) -> None:
         """As in `Fista`."""
         fista(self._theta, self._before, betas, *self._tables)
-        if betas.size % 2:  # each iteration swaps the two
+        # Each iteration swaps the two.
+        if betas.size % 2:
             self._theta, self._before = self._before, self._theta
 
     def image(self) -> Floats:

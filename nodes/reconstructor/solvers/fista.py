@@ -74,10 +74,8 @@ class Fista:
         for beta in betas:
             z = self._theta + beta * (self._theta - self._before)
             u = z + self._step * self._adjoint(self._y - self._forward(z))
-            self._before, self._theta = (
-                self._theta,
-                u - np.clip(u, -self._limit, self._limit),
-            )
+            self._before = self._theta
+            self._theta = u - np.clip(u, -self._limit, self._limit)
 
     def image(self) -> Floats:
         """Return Psi theta, float32 (n_rows, n_cols), newtons."""
@@ -190,20 +188,24 @@ class FistaSolver(Solver):
 
     def setup(self, y: Floats, warm: Floats | None = None) -> None:
         y = self._checked_y(y)
-        self._fista.begin(y, None if warm is None else self._checked_warm(warm))
+        if warm is not None:
+            warm = self._checked_warm(warm)
+        self._fista.begin(y, warm)
         self._steps_left = self.n_steps
 
     def solve(self, y: Floats, warm: Floats | None = None) -> Floats:
-        if type(self).step is not FistaSolver.step:  # a step of the user's own
+        # A step of the user's own has to be called.
+        if type(self).step is not FistaSolver.step:
             return super().solve(y, warm)
+        # All iterations in one call of a compiled loop.
         self.setup(y, warm)
         self._fista.advance(self._momenta)
         return self.finish()
 
     def step(self) -> None:
         self._count_step()
-        done = self.n_steps - self._steps_left
-        self._fista.advance(self._momenta[done - 1 : done])
+        n_done = self.n_steps - self._steps_left
+        self._fista.advance(self._momenta[n_done - 1 : n_done])
 
     def finish(self) -> Floats:
         return self._final_forces(self._fista.image())

@@ -96,7 +96,6 @@ class TopicInfo:
 
     def add(self, schema: str, version: int, stamp_ns: int, log_time_ns: int) -> None:
         """Count one message."""
-
         # The end of a stream counts for the lags alone.
         lag_ns = log_time_ns - stamp_ns
         self.min_lag_ns = min(self.min_lag_ns, lag_ns)
@@ -106,6 +105,7 @@ class TopicInfo:
 
         self.schema = schema
         self.version = version
+        # Not in the order of stamps: results come later than the frames that follow them.
         if not self.n_messages:
             self.first_ns = stamp_ns
             self.last_ns = stamp_ns

@@ -62,6 +62,7 @@ def frame_topics(
     with_frames = []
     for topic in requested:
         info = bag.topics[topic]
+        # Of a topic that ended before its first frame, there is the end alone.
         if info.schema in schemas and info.n_messages:
             with_frames.append(topic)
     if not with_frames:
@@ -87,7 +88,6 @@ def with_states(bag: BagReader, topics: Iterable[str]) -> list[str]:
 
 def last_messages(bag: BagReader, topics: Iterable[str]) -> dict[str, Message]:
     """The last message on each of some topics that the bag holds; raises as `decoded`."""
-
     # Messages of a topic come in the order of recording: the last one stays.
     in_bag = [topic for topic in topics if topic in bag.topics]
     newest = {recorded.topic: recorded for recorded in bag.messages(in_bag)}
@@ -99,26 +99,24 @@ def last_states(bag: BagReader, topics: Iterable[str]) -> dict[str, dict[str, An
     them, a mask as rows of 0 and 1; raises as `decoded`.
     """
     states = [
-        t
-        for t in with_states(bag, topics)
-        if bag.topics[t].schema not in STREAM_SCHEMAS
+        topic
+        for topic in with_states(bag, topics)
+        if bag.topics[topic].schema not in STREAM_SCHEMAS
     ]
-    return {
-        topic: state_json(state) for topic, state in last_messages(bag, states).items()
-    }
+    messages = last_messages(bag, states)
+    return {topic: state_json(state) for topic, state in messages.items()}
 
 
 def state_json(message: Message) -> dict[str, Any]:
     """Fields of a state as JSON has them, a mask as rows of 0 and 1."""
-    names = [
-        name for name in wire_fields(type(message)) if name not in ("run_id", "seq")
-    ]
-    values = {name: getattr(message, name) for name in names}
+    values = {name: getattr(message, name) for name in wire_fields(type(message))}
+    # Those of the publisher, not of the state.
+    del values["run_id"]
+    del values["seq"]
     mask = values.get("mask")
     if mask is not None:
-        values["mask"] = [
-            "".join("01"[cell] for cell in row) for row in mask.astype(int)
-        ]
+        rows = mask.astype(int).astype(str)
+        values["mask"] = ["".join(row) for row in rows]
     for name, value in values.items():
         if hasattr(value, "tolist"):
             values[name] = value.tolist()
@@ -132,7 +130,6 @@ def streams(
     ends of streams; with a progress bar; raises as `decoded`.
     """
     topics = list(topics)
-
     total = sum(bag.topics[topic].n_messages for topic in topics)
     for recorded in progress(bag.messages(topics), total, doing):
         message = decoded(bag, recorded)
@@ -144,12 +141,11 @@ def values_of(message: Message) -> npt.NDArray[np.float32] | None:
     """The forces of a frame of one patch, NaN where a reading is missing, or its measurements; None
     of another message.
     """
-    values: npt.NDArray[np.float32] | None = None
     if isinstance(message, Measurements):
-        values = message.y[0]
-    elif isinstance(message, Taxels | Truth | Reconstruction):
-        values = known_forces(message)
-    return values
+        return np.asarray(message.y[0])
+    if isinstance(message, Taxels | Truth | Reconstruction):
+        return known_forces(message)
+    return None
 
 
 def decoded(bag: BagReader, recorded: BagMessage) -> Message:
@@ -179,16 +175,13 @@ def patch_topics(bag: BagReader, patch: str | None) -> tuple[str, list[str]]:
     """
     topics = frame_topics(bag, None)
     patches = sorted({patch_of(topic) for topic in topics})
+    names = ", ".join(patches)
     if patch is None and len(patches) > 1:
-        raise BagError(
-            f"{bag.path}: has patches {', '.join(patches)}: state one of them"
-        )
+        raise BagError(f"{bag.path}: has patches {names}: state one of them")
     patch = patch or patches[0]
     of_patch = [topic for topic in topics if patch_of(topic) == patch]
     if not of_patch:
-        raise BagError(
-            f"{bag.path}: has no patch {patch!r} (it has {', '.join(patches)})"
-        )
+        raise BagError(f"{bag.path}: has no patch {patch!r} (it has {names})")
     return patch, of_patch
 
 

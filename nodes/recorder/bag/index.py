@@ -86,7 +86,6 @@ class BagIndex:
             self._schemas[schema.id] = schema
         elif record.opcode == Opcode.CHANNEL:
             channel = record.parsed(mcap.Channel.read)
-
             if len(self.channels) >= _MAX_CHANNELS and channel.id not in self.channels:
                 raise BagError(f"{self.name}: more than {_MAX_CHANNELS} channels")
             self.channels[channel.id] = self._checked(channel)
@@ -150,9 +149,8 @@ class BagIndex:
                 id, log_ns, stamp_ns, _ = of_file.message_of(content, record.offset)
                 channel = self.channels.get(id)
                 if channel is None or max(log_ns, stamp_ns) > INT64_MAX:
-                    raise Break(
-                        record.offset, "a message there has no channel or a wrong time"
-                    )
+                    why = "a message there has no channel or a wrong time"
+                    raise Break(record.offset, why)
                 messages.append((channel, stamp_ns, log_ns))
 
         # Only a chunk without a fault is counted.
@@ -163,11 +161,14 @@ class BagIndex:
         self.n_scanned += len(messages)
         if messages:
             log_times = [log_ns for _, _, log_ns in messages]
-            topics = frozenset(channel.topic for channel, _, _ in messages)
-            first_ns = min(log_times)
-            last_ns = max(log_times)
             self.chunks.append(
-                ChunkSpan(record.offset, record.stop, topics, first_ns, last_ns)
+                ChunkSpan(
+                    offset=record.offset,
+                    stop=record.stop,
+                    topics=frozenset(channel.topic for channel, _, _ in messages),
+                    first_log_ns=min(log_times),
+                    last_log_ns=max(log_times),
+                )
             )
 
     def list_chunk(self, record: Record) -> None:
@@ -197,16 +198,11 @@ class BagIndex:
         """The chunks that may hold a stamp in [start_ns, stop_ns) on one of the topics."""
 
         def may_hold(chunk: ChunkSpan, topic: str) -> bool:
-            info = self.topics[topic]
-
             # Chunks are known by log times: a stamp lies a lag before its own.
-            late_enough = (
-                start_ns is None or chunk.last_log_ns - info.min_lag_ns >= start_ns
-            )
-            early_enough = (
-                stop_ns is None or chunk.first_log_ns - info.max_lag_ns < stop_ns
-            )
-            return late_enough and early_enough
+            info = self.topics[topic]
+            if start_ns is not None and chunk.last_log_ns - info.min_lag_ns < start_ns:
+                return False
+            return stop_ns is None or chunk.first_log_ns - info.max_lag_ns < stop_ns
 
         chunks = []
         for chunk in self.chunks:
@@ -222,6 +218,7 @@ def load_index(file: BinaryIO, name: str, whole: bool = True) -> tuple[BagIndex,
     the first break, the number of messages found and the place of the break. Raises BagError if the
     file is no bag that this program reads, or broken before the first record.
     """
+    # A file may have been cut off within its first bytes: it is then none of another kind.
     begin = file.read(len(MAGIC))
     if not begin:
         raise BagError(f"{name}: is empty")
@@ -248,6 +245,7 @@ def _read_summary(
     file: BinaryIO, name: str, whole: bool
 ) -> tuple[BagIndex | None, str]:
     """The index at the end, None if it must be scanned; its damage. Raises Break without one."""
+    # From the end: the footer states where the summary begins, which follows the data.
     size = file.seek(0, io.SEEK_END)
     footer_at = max(size - _FOOTER_BYTES - len(MAGIC), 0)
     footer = record_at(file, footer_at, size, Opcode.FOOTER).parsed(mcap.Footer.read)
@@ -280,6 +278,7 @@ def _read_summary(
 
 def _from_summary(file: BinaryIO, name: str, start: int, stop: int) -> BagIndex | None:
     """The index at start..stop of the file; None of another program."""
+    # Counts by topic are of this program alone: the file of another one is scanned.
     index = BagIndex(name)
     header = record_at(file, len(MAGIC), stop, Opcode.HEADER)
     index.library = header.parsed(mcap.Header.read).library
@@ -300,7 +299,8 @@ def _from_summary(file: BinaryIO, name: str, start: int, stop: int) -> BagIndex 
     # Counts of other topics than those of the channels are of no use.
     channels = set(index.channels.values())
     counted = {
-        BagChannel(topic, i.schema, i.version) for topic, i in index.topics.items()
+        BagChannel(topic, info.schema, info.version)
+        for topic, info in index.topics.items()
     }
     channel_topics = {channel.topic for channel in channels}
     if index.topics.keys() != channel_topics or not counted <= channels:
@@ -309,16 +309,19 @@ def _from_summary(file: BinaryIO, name: str, start: int, stop: int) -> BagIndex 
 
 
 def _topic_info(values: dict[str, Any]) -> TopicInfo:
-    for key, value in values.items():
-        low = -INT64_MAX if key.endswith("lag_ns") else 0
-        is_valid = (
-            type(value) is str if key == "schema" else is_whole(value, low, INT64_MAX)
-        )
-        if not is_valid:
-            raise TypeError(key)
+    """Counts of a topic; an error of any kind unless the values are those of one."""
     info = TopicInfo(**values)
     if dataclasses.asdict(info).keys() != values.keys() or info.first_ns > info.last_ns:
         raise ValueError("incomplete")
+    for key, value in values.items():
+        if key == "schema":
+            is_valid = type(value) is str
+        else:
+            # Only the lag between two clocks can be below 0.
+            low = -INT64_MAX if key.endswith("lag_ns") else 0
+            is_valid = is_whole(value, low, INT64_MAX)
+        if not is_valid:
+            raise TypeError(key)
     return info
 
 
@@ -340,10 +343,8 @@ def _scan(file: BinaryIO, name: str, damage: str) -> tuple[BagIndex, str]:
             raise BagError(f"{name}: {fault}") from broken
         where = f"{place}: {broken.why}"
 
-    messages = f"{index.n_scanned} messages"
-    if index.n_scanned == 1:
-        messages = "1 message"
-    return index, f"{messages} recovered, up to {where}"
+    messages = "message" if index.n_scanned == 1 else "messages"
+    return index, f"{index.n_scanned} {messages} recovered, up to {where}"
 
 
 def _scan_records(file: BinaryIO, index: BagIndex, size: int) -> str:
@@ -372,6 +373,5 @@ def _scan_records(file: BinaryIO, index: BagIndex, size: int) -> str:
             if record.opcode not in (Opcode.HEADER, Opcode.METADATA) or index.chunks:
                 raise
             damage = f"the record at byte {record.offset} is damaged"
-    raise Break(
-        size, "it ends there without an index; its recorder was killed or still runs"
-    )
+    why = "it ends there without an index; its recorder was killed or still runs"
+    raise Break(size, why)

@@ -24,9 +24,9 @@ def names_of(bag: BagReader) -> dict[str, tuple[str, ...]]:
 
     Raises BagError if a message cannot be decoded.
     """
-    by_patch = {
-        split_topic(topic)[0]: _names_on(bag, topic) for topic in _frame_topics(bag)
-    }
+    by_patch = {}
+    for topic in _frame_topics(bag):
+        by_patch[split_topic(topic)[0]] = _names_on(bag, topic)
     return {patch: names for patch, names in by_patch.items() if names}
 
 
@@ -70,9 +70,8 @@ class SplitBag(BagReader):
         self._bag = bag
         self._names = names
 
-        several = [
-            topic for topic in _frame_topics(bag) if split_topic(topic)[0] in names
-        ]
+        several = [t for t in _frame_topics(bag) if split_topic(t)[0] in names]
+        # Each message is read once for the counts: an index has those of all patches together.
         topics: dict[str, TopicInfo] = {}
         unchanged: Unchanged = {}
         for recorded in bag.messages(several):
@@ -100,9 +99,10 @@ class SplitBag(BagReader):
     def _messages(
         self, wanted: frozenset[str], start_ns: int | None, stop_ns: int | None
     ) -> Iterator[BagMessage]:
-        topics = [
-            t for t in self._bag.topics if not wanted.isdisjoint(self._of_patches(t))
-        ]
+        topics = []
+        for topic in self._bag.topics:
+            if not wanted.isdisjoint(self._of_patches(topic)):
+                topics.append(topic)
         unchanged: Unchanged = {}
         # From the first on: a patch that is unchanged has the forces of an earlier message.
         for recorded in self._bag.messages(topics, None, stop_ns):
@@ -122,10 +122,10 @@ class SplitBag(BagReader):
         message = decoded(self._bag, recorded)
         if isinstance(message, End):
             return
+        parts: Iterable[Message]
         if isinstance(message, Frames):
-            parts: Iterable[Message] = message.split(
-                unchanged.setdefault(recorded.topic, {})
-            )
+            last_forces = unchanged.setdefault(recorded.topic, {})
+            parts = message.split(last_forces)
         else:
             parts = (replace(message, patch=name) for name in self._names[patch])
         for part in parts:

@@ -55,14 +55,14 @@ class BagReader(AbstractContextManager["BagReader"]):
 
     def __init__(self, path: str | os.PathLike[str], whole: bool = True) -> None:
         self.path = Path(path)
+        # A file that is no bag is closed again.
         with ExitStack() as opened:
             self._file = opened.enter_context(_open(self.path))
+            name = str(self.path)
             try:
-                self._index, self.recovered = load_index(
-                    self._file, str(self.path), whole
-                )
+                self._index, self.recovered = load_index(self._file, name, whole)
             except OSError as error:
-                raise BagError(f"{self.path}: {error.strerror}") from error
+                raise BagError(f"{name}: {error.strerror}") from error
             opened.pop_all()
         self.metadata = self._index.metadata.get(GRAPH_RECORD, {})
         self.counts = _counts(self._index.metadata.get(COUNTS_RECORD, {}))
@@ -119,9 +119,8 @@ class BagReader(AbstractContextManager["BagReader"]):
         if self._file.closed:
             raise BagError(f"{self.path}: the recording is closed")
         try:
-            return open_chunk(
-                record_at(self._file, chunk.offset, chunk.stop, Opcode.CHUNK)
-            )
+            record = record_at(self._file, chunk.offset, chunk.stop, Opcode.CHUNK)
+            return open_chunk(record)
         except Break as broken:
             fault = "is damaged, or was changed while it was read"
             where = f"at byte {chunk.offset}: {broken.why}"
@@ -154,6 +153,7 @@ def _open(path: Path) -> BinaryIO:
 
 
 def _counts(record: dict[str, str]) -> dict[str, Any] | None:
+    # What cannot be read, or is nested too deep for who prints it, is as none.
     counts = None
     with suppress(ValueError, RecursionError):
         counts = json.loads(record.get(JSON_KEY, ""))

@@ -60,9 +60,8 @@ class Record(NamedTuple):
         stream = ReadDataStream(io.BytesIO(self.data))
         try:
             content = read(stream)
-        except (
-            Exception
-        ) as error:  # EndOfFile, struct.error, UnicodeDecodeError, ValueError, ...
+        # EndOfFile, struct.error, UnicodeDecodeError, ValueError, ...
+        except Exception as error:
             raise Break(self.offset, "a record there is malformed") from error
         if stream.count != len(self.data):
             raise Break(self.offset, "a record there is malformed")
@@ -73,6 +72,7 @@ def records(file: IO[bytes], start: int, stop: int) -> Iterator[Record]:
     """Yield the records from byte `start` up to `stop`."""
     offset = start
     while offset < stop:
+        # Who iterates may have read elsewhere in the file.
         file.seek(offset)
         head = file.read(min(HEAD_BYTES, stop - offset))
         if len(head) < HEAD_BYTES:
@@ -83,14 +83,11 @@ def records(file: IO[bytes], start: int, stop: int) -> Iterator[Record]:
         if opcode not in _KNOWN:
             raise Break(offset, "no record begins there")
         if length > stop - offset - HEAD_BYTES:
-            raise Break(
-                offset,
-                "the file ends in the middle of a record, or its length is wrong",
-            )
+            why = "the file ends in the middle of a record, or its length is wrong"
+            raise Break(offset, why)
         if length > _MAX_RECORD_BYTES:
-            raise Break(
-                offset, f"a record of {length} bytes, at most {_MAX_RECORD_BYTES}"
-            )
+            why = f"a record of {length} bytes, at most {_MAX_RECORD_BYTES}"
+            raise Break(offset, why)
 
         record = Record(opcode, offset, file.read(length))
         yield record
@@ -111,21 +108,18 @@ def open_chunk(record: Record) -> bytes:
     offset = record.offset
 
     # A small chunk can claim to become any size.
-    limit = MAX_CHUNK_BYTES
-    if chunk.uncompressed_size > limit:
-        raise Break(
-            offset, f"a chunk of {chunk.uncompressed_size} bytes, at most {limit}"
-        )
+    n_bytes = chunk.uncompressed_size
+    if n_bytes > MAX_CHUNK_BYTES:
+        raise Break(offset, f"a chunk of {n_bytes} bytes, at most {MAX_CHUNK_BYTES}")
     try:
         plain = _decompressed(chunk)
-    except Exception as error:  # lz4 and zstandard have families of their own
+    # lz4 and zstandard have families of errors of their own.
+    except Exception as error:
         raise Break(offset, "a chunk there cannot be decompressed") from error
 
-    has_checksum = chunk.uncompressed_crc != 0
-    is_whole = len(plain) == chunk.uncompressed_size
-    if is_whole and has_checksum:
-        is_whole = zlib.crc32(plain) == chunk.uncompressed_crc
-    if not is_whole:
+    # 0 stands for a checksum that was not computed.
+    checksum = chunk.uncompressed_crc
+    if len(plain) != n_bytes or (checksum and zlib.crc32(plain) != checksum):
         raise Break(offset, "the checksum of a chunk there does not match")
     return plain
 
@@ -173,9 +167,8 @@ def _decompressed(chunk: Chunk) -> bytes:
     # Both stop at the size that the chunk states, whatever the compressed bytes would become.
     limit = chunk.uncompressed_size
     if chunk.compression == "lz4":
-        return bytes(
-            lz4.frame.LZ4FrameDecompressor().decompress(chunk.data, max_length=limit)
-        )
+        decoder = lz4.frame.LZ4FrameDecompressor()
+        return bytes(decoder.decompress(chunk.data, max_length=limit))
     if chunk.compression == "zstd":
         decompressor = zstandard.ZstdDecompressor(max_window_size=MAX_CHUNK_BYTES)
         return decompressor.stream_reader(chunk.data).read(limit)

@@ -160,6 +160,7 @@ class BagWriter(AbstractContextManager["BagWriter"]):
         except (OSError, ValueError) as error:
             reason = error.strerror if isinstance(error, OSError) else error
             raise BagError(f"{self.part}: {reason}") from error
+        # A reader believes the index if the checksum of the data before it is right.
         self._mcap = Writer(
             self._file,  # type: ignore[arg-type]
             chunk_size=CHUNK_BYTES,
@@ -169,6 +170,7 @@ class BagWriter(AbstractContextManager["BagWriter"]):
 
         self._mcap.start(library=LIBRARY_PREFIX + version_of("sparseskin"))
         self._mcap.add_metadata(GRAPH_RECORD, dict(metadata))
+        # Now: a disk that takes nothing is reported before the first message.
         try:
             self._file.flush()
         except OSError as error:
@@ -183,29 +185,25 @@ class BagWriter(AbstractContextManager["BagWriter"]):
         """
         self._check_open()
         topic, schema, version, log_time_ns, stamp_ns, payload = message
-
         channel = self._channel(topic, schema, version)
         n_bytes = len(payload)
         if n_bytes > MAX_MESSAGE_BYTES:
-            fault = (
-                f"a message of {n_bytes} bytes on {topic}, at most {MAX_MESSAGE_BYTES}"
-            )
-            raise BagError(f"{self.path}: {fault}")
+            fault = f"a message of {n_bytes} bytes on {topic}"
+            raise BagError(f"{self.path}: {fault}, at most {MAX_MESSAGE_BYTES}")
         for name, time_ns in (("log time", log_time_ns), ("stamp", stamp_ns)):
             if not 0 <= time_ns <= INT64_MAX:
-                raise BagError(
-                    f"{self.path}: {topic}: {name} {time_ns} is outside 0..2**63 - 1"
-                )
-
-        info = self._topics.setdefault(topic, TopicInfo(schema, version))
+                fault = f"{name} {time_ns} is outside 0..2**63 - 1"
+                raise BagError(f"{self.path}: {topic}: {fault}")
 
         # 32 bits in the file.
+        info = self._topics.setdefault(topic, TopicInfo(schema, version))
         sequence = info.n_messages & 0xFFFFFFFF
         self._mcap.add_message(channel, log_time_ns, payload, stamp_ns, sequence)
         info.add(schema, version, stamp_ns, log_time_ns)
         self.n_messages += 1
 
-        if self._file.pending:  # the chunk was full
+        # The chunk was full.
+        if self._file.pending:
             self.flush()
             return
         if self._oldest_s is None:
@@ -307,6 +305,7 @@ class BagWriter(AbstractContextManager["BagWriter"]):
             raise BagError(self._failure) from error
 
     def _finish(self, counts: Mapping[str, Any] | None) -> None:
+        # Counts by topic: of a whole file, no message has to be read for them.
         self._mcap.flush()
         topics = {
             topic: dataclasses.asdict(info) for topic, info in self._topics.items()

@@ -45,12 +45,10 @@ def export_csv(
     """
     topics = stream_topics(bag, topics)
     states = last_states(bag, topics)
-    n_measurements: dict[str, int] = {}
 
     # A header needs the most measurements of a message, so these are counted first.
-    measured = [
-        topic for topic in topics if bag.topics[topic].schema == Measurements.schema
-    ]
+    n_measurements: dict[str, int] = {}
+    measured = [t for t in topics if bag.topics[t].schema == Measurements.schema]
     for message, _ in streams(bag, measured, "measure"):
         longest = n_measurements.get(message.topic, 0)
         n_measurements[message.topic] = max(longest, len(_cells(message)))
@@ -130,10 +128,8 @@ def _text(value: object) -> str:
 
 def _contacts(message: Contacts) -> list[dict[str, Any]]:
     columns = message.columns()
-    cells = zip(
-        *(column.astype(str).tolist() for column in columns.values()), strict=True
-    )
-    return [dict(zip(columns, row, strict=True)) for row in cells]
+    texts = [column.astype(str).tolist() for column in columns.values()]
+    return [dict(zip(columns, row, strict=True)) for row in zip(*texts, strict=True)]
 
 
 def _events(message: Contacts) -> list[dict[str, Any]]:
@@ -164,9 +160,5 @@ def _cells(message: Message) -> Floats:
 
 def _cell_names(cells: Floats, longest: int) -> list[str]:
     if cells.ndim == 2:
-        return [
-            f"r{row}c{col}"
-            for row in range(cells.shape[0])
-            for col in range(cells.shape[1])
-        ]
+        return [f"r{row}c{col}" for row, col in np.ndindex(cells.shape)]
     return [f"y{k}" for k in range(longest)]

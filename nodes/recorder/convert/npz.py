@@ -41,7 +41,7 @@ _CODES: dict[type[FieldKind], tuple[str, Any]] = {
     Real: ("d", np.float64),
     Flag: ("b", np.bool_),
 }
-"""Type codes of numbers in memory, and their dtypes in the file."""
+"""Type codes of numbers in memory, of which there may be millions, and their dtypes in the file."""
 
 
 def export_npz(
@@ -147,6 +147,7 @@ class _Columns:
         if frame is None:
             return
 
+        # Frames go to files at once: a recording may be larger than memory.
         self._check_shape(frame, message)
         self._shapes.append(frame.shape)
         for name in self._files.keys() & values.keys():
@@ -166,16 +167,15 @@ class _Columns:
             return
         previous = self._shapes[-1]
         if frame.shape != previous:
-            sizes = "a frame of {} x {} after some of {} x {}".format(
-                *frame.shape, *previous
-            )
+            n_rows, n_cols = frame.shape
+            sizes = f"a frame of {n_rows} x {n_cols} after some of "
+            sizes += " x ".join(map(str, previous))
             raise BagError(f"{self._place}, stamp {message.stamp_ns}: {sizes}")
 
     def arrays(self) -> dict[str, npt.NDArray[Any]]:
         """Arrays by their names in the file; a field that no message has gets none."""
-        frames_name, stamps_name = array_names(self._schema)
-
         # As the sensor reads them from a file.
+        frames_name, stamps_name = array_names(self._schema)
         short = {"forces": frames_name, "y": frames_name, "stamp_ns": stamps_name}
         arrays = {
             name: self._frames(self._files[name]) for name in sorted(self._with_frames)
@@ -183,7 +183,6 @@ class _Columns:
         for name, kind in self._kinds.items():
             _, dtype = _CODES.get(type(kind), ("", None))
             values = np.array(self._columns[name], dtype)
-
             # A number that no message has is left out.
             if not (isinstance(kind, Real) and np.isnan(values).all()):
                 arrays[name] = values
@@ -194,6 +193,7 @@ class _Columns:
 
     def _frames(self, path: Path) -> npt.NDArray[np.float32]:
         """The frames in a file, with NaN behind those of fewer measurements."""
+        # The largest shape: all frames have the same one but measurements, whose M may change.
         numbers = np.memmap(path, np.float32, "r")
         shape = (len(self._shapes), *max(self._shapes))
         n_padded = math.prod(shape)
@@ -204,9 +204,8 @@ class _Columns:
             allowed = f"at most {MAX_PADDING} times as many are allowed"
             raise BagError(f"{self._place}: {fault}; {allowed}; export to csv")
 
-        padded = np.memmap(f"{path}_padded", np.float32, "w+", shape=shape)
-
         # M may change between messages: the rest of a row is NaN.
+        padded = np.memmap(f"{path}_padded", np.float32, "w+", shape=shape)
         at = 0
         for row, (m,) in zip(padded, self._shapes, strict=True):
             row[:m] = numbers[at : at + m]
@@ -231,13 +230,9 @@ class _Contacts:
     def arrays(self) -> dict[str, npt.NDArray[Any]]:
         """Arrays by their names in the file."""
         arrays = {name: np.concatenate(parts) for name, parts in self._columns.items()}
-        arrays["event_stamp_ns"] = np.array(
-            [stamp_ns for stamp_ns, _, _ in self._events], np.int64
-        )
-        arrays["event_id"] = np.array(
-            [number for _, number, _ in self._events], np.int32
-        )
-        arrays["event"] = np.array([event for _, _, event in self._events], "U8")
+        dtypes = {"event_stamp_ns": "<i8", "event_id": "<i4", "event": "<U8"}
+        events = np.array(self._events, list(dtypes.items()))
+        arrays |= {name: events[name] for name in dtypes}
         return {f"{Contacts.schema}_{name}": values for name, values in arrays.items()}
 
 

@@ -55,10 +55,9 @@ def import_file(
     main = _Imported(source, patch, layout, _Zeroing(tare, invert), log)
     patches = [main]
     for channel in keep:
+        name = f"{patch}_{channel}"
         of_channel = layout.stating({"channel": channel, "negative": KEEP})
-        patches.append(
-            _Imported(source, f"{patch}_{channel}", of_channel, _Zeroing(0), log)
-        )
+        patches.append(_Imported(source, name, of_channel, _Zeroing(0), log))
     metadata = metadata_of(launch="", graph="") | {"imported_from": source.name}
     with _whole_bag(out, metadata, {"lost": {}}) as bag:
         # All patches by time, as a recorder would have received them.
@@ -156,6 +155,7 @@ class _Forces:
         described = of_skin(source.name, source.skin)
         if invert:
             described = described.inverted()
+        # Drift is followed from the level at rest, which a tare measures.
         drift_rate = DRIFT_RATE if tare else 0.0
         self._chain: Chain | None = None
         if tare or invert:
@@ -203,7 +203,6 @@ def recover_bag(bag: BagReader, out: Path) -> int:
     The new metadata have the entry "recovered", a line on the damage. Returns the number of
     messages. Raises BagError if the new bag exists or cannot be written.
     """
-
     metadata = dict(bag.metadata)
     if bag.recovered:
         metadata["recovered"] = bag.recovered
