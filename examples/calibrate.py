@@ -24,9 +24,8 @@ ROWS, COLS, RATE_HZ, MINUTES = 16, 32, 10, 10
 RNG = np.random.default_rng(0)
 OFFSET = RNG.uniform(20, 90, (ROWS, COLS))
 GAIN = RNG.lognormal(0, 0.25, (ROWS, COLS))
-WARMING = RNG.lognormal(
-    2, 0.2, (ROWS, COLS)
-)  # counts of drift in the end, 7 in the median
+# counts of drift in the end, 7 in the median
+WARMING = RNG.lognormal(2, 0.2, (ROWS, COLS))
 
 
 def counts(forces, time_s=0.0):

@@ -44,8 +44,7 @@ def frames():
                     f"{n_bad} packets of a wrong size, {n_dropped} dropped by the kernel"
                 )
             if whole:
-                skin.connect(
-                    sender
-                )  # packets of others are dropped by the kernel from now on
+                # packets of others are dropped by the kernel from now on
+                skin.connect(sender)
                 counts = np.frombuffer(packet, "<u2").reshape(SHAPE)
                 yield time.monotonic_ns(), counts * (RANGE_N / 65535)

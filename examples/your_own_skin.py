@@ -18,9 +18,8 @@ def main(out: str = "your_own_skin.png", path: str = "example:fingers") -> None:
     recording = sparseskin.read_recording(path)
     taxels, unit = recording["forces"], recording["unit"]
     n_rows, n_cols = taxels.shape[1:]
-    mask = recording.get(
-        "mask", np.ones((n_rows, n_cols), bool)
-    )  # True where a taxel exists
+    # True where a taxel exists
+    mask = recording.get("mask", np.ones((n_rows, n_cols), bool))
     n = int(mask.sum())
 
     loaded = taxels.max(axis=(1, 2)) > 0.1 * recording["f_max"]

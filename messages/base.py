@@ -75,7 +75,7 @@ class Message:
         node itself has made, which its readers check again.
         """
         for name, kind in array_fields(type(self)).items():
-            # None is allowed where the field is optional, which does not change.
+            # None stands in optional fields alone: a node sets no other one to it.
             if changes.get(name) is not None:
                 changes[name] = kind.check(name, changes[name])
         return self._copy(**changes)
@@ -90,10 +90,10 @@ class Message:
     def __eq__(self, other: object) -> bool:
         if type(other) is not type(self):
             return NotImplemented
-        for name in wire_fields(type(self)):
-            if not _same(getattr(self, name), getattr(other, name)):
-                return False
-        return True
+        return all(
+            _same(getattr(self, name), getattr(other, name))
+            for name in wire_fields(type(self))
+        )
 
     __hash__ = None  # type: ignore[assignment]
 

@@ -210,7 +210,7 @@ def decode_frame(topic: bytes, payload: Payload) -> Message:
         text = f"{form.cls.schema}: {n_bytes} bytes, expected {stream.n_bytes}"
         raise (TruncatedError if n_bytes < stream.n_bytes else OversizedError)(text)
 
-    # Texts are those of the description, which was checked when it first came.
+    # Texts were checked when their description first came; numbers are, in each frame.
     values = stream.values.copy()
     numbers = stream.numbers.unpack_from(payload, stream.numbers_at)
     # `checks` is shorter where several patches have numbers of their own.
@@ -249,9 +249,8 @@ def unpacked(raw: Payload, expected: type, n_bytes: int) -> Any:
         value = msgpack.unpackb(raw, raw=False, strict_map_key=True, **_LIMITS)
     except msgpack.exceptions.ExtraData as error:
         raise MalformedError("more than one msgpack object in a message") from error
+    # msgpack documents no narrower class for malformed bytes, and none for bytes that end early.
     except Exception as error:
-        # msgpack documents no narrower class for malformed bytes.
-        # msgpack has no class of its own for bytes that end too early.
         if "incomplete" in str(error):
             raise TruncatedError(f"message cut off after {n_bytes} bytes") from error
         raise MalformedError(
@@ -274,9 +273,8 @@ def _describe(message: Message) -> _Stream:
     """The stream of a message that was checked."""
     form = _form(type(message))
     values = message.__dict__
-    # In the order of the form; a reader takes them by their place.
+    # A reader takes texts by their place: only the last ones can be left out.
     texts = [kind.pack(values[name]) for name, kind in form.texts]
-    # The last words are left out where none is stated.
     for _, kind in reversed(form.texts):
         if not isinstance(kind, Words) or texts[-1].strip():
             break
@@ -364,9 +362,7 @@ def _form_of(body: dict[Any, Any]) -> _Form:
         raise MalformedError(f"{cls.schema}: expected {n_texts} texts")
 
     arrays = body["arrays"]
-    # Which of them may be left out is checked later, when shapes are known.
-    names = {name for name, _ in form.arrays}
-    if not isinstance(arrays, dict) or not arrays.keys() <= names:
+    if not isinstance(arrays, dict) or not arrays.keys() <= dict(form.arrays).keys():
         raise MalformedError(f"{cls.schema}: unknown arrays")
     return form
 
@@ -419,10 +415,8 @@ def _laid_out(
     # Arrays are aligned from the begin of the topic, which the payload lacks.
     n_topic = len(topic) + 1
     numbers_at = len(begin) - n_topic
-    # Numbers follow the description, without a gap.
     numbers = _numbers_struct(form, n_patches, arrays, len(begin))
 
-    # From here on `end` is where the array before ends.
     end = numbers_at + numbers.size
     placed = []
     for array in arrays:
@@ -431,7 +425,7 @@ def _laid_out(
         placed.append(array._replace(begin=first_byte, end=end))
 
     checks = [(name, kind.of_number) for name, kind in form.numbers]
-    # The number of a single patch is checked like those of the message.
+    # Nearly all messages are of one patch: its numbers need no list of their own.
     each: list[_Check] = []
     if n_patches == 1:
         checks += [(name, tuples.of_number) for name, tuples in form.each]
@@ -460,8 +454,8 @@ def _numbers_struct(
     # Field by field: all patches of one, then of the next.
     codes += "".join(tuples.kind.code * n_patches for _, tuples in form.each)
     for array in arrays:
+        # A quantised array is sent with its step.
         if array.dtype != array.kind.dtype:
-            # The step of a quantised one.
             codes += "d"
     n_numbers = struct.calcsize(f"<{codes}")
     n_zeros = -(n_before + n_numbers) % ALIGNMENT

@@ -1,7 +1,6 @@
 """Contacts of a frame: where the skin is touched, how strong, since when, and what changed."""
 
 import re
-from collections.abc import MutableMapping
 from dataclasses import dataclass
 from typing import Any, ClassVar, Self
 
@@ -88,7 +87,6 @@ class Contacts(Frames):
             raise ShapeError(f"patch_of: a row outside 0..{n_patches - 1}")
         if self.events is None:
             return
-        # Of another width, the columns below would not be what they are named.
         if self.events.shape[1] != 3:
             raise ShapeError(f"events: shape {self.events.shape}, expected rows of 3")
         patches = self.events[:, 0]
@@ -96,19 +94,10 @@ class Contacts(Frames):
         if not (_within(patches, n_patches) and _within(kinds, len(EVENTS))):
             raise ShapeError("events: a patch or event that is not known")
 
-    def split(
-        self, last_forces: MutableMapping[str, Floats] | None = None
-    ) -> list[Self]:
-        if not self.names:
-            return [self]
-        return [self._of_patch(k) for k in range(len(self.names))]
-
-    def _of_patch(self, k: int) -> Self:
-        """Contacts of patch k alone."""
+    def _single(self, k: int, **changes: Any) -> Self:
         patch_of = self.patch_of
         if patch_of is None:
             patch_of = np.zeros(self.id.size, np.int32)
-        # Rows of the contacts of this patch, in all columns that are known.
         columns = {name: self.__dict__[name] for name in _SIDES if name != "patch_of"}
         for name, column in columns.items():
             if column is not None:
@@ -116,12 +105,12 @@ class Contacts(Frames):
 
         events = self.events
         if events is not None:
-            # In the message of one patch, that is row 0.
             events = events[events[:, 0] == k]
+            # The only patch of a message has number 0.
             events[:, 0] = 0
             if not events.size:
                 events = None
-        return self._single(k, **columns, events=events, patch_of=None)
+        return super()._single(k, **columns, events=events, patch_of=None)
 
     def at(
         self, stamp_ns: int, done_ns: int, trusted: tuple[bool, ...], **changes: Any
@@ -143,8 +132,7 @@ class Contacts(Frames):
         `col` of `centre`, `x_mm`, ... of a place. What is not known is NaN.
         """
         n = self.id.size
-        columns: dict[str, npt.NDArray[Any]] = {}
-        columns["stamp_ns"] = np.full(n, self.stamp_ns)
+        columns: dict[str, npt.NDArray[Any]] = {"stamp_ns": np.full(n, self.stamp_ns)}
         for name, sides in _SIDES.items():
             if name == "patch_of":
                 continue

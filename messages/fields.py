@@ -55,6 +55,10 @@ class FieldKind:
         return self.check(name, raw)
 
 
+def _wrong_type(name: str, expected: str, value: Any) -> FieldError:
+    return FieldError(f"{name}: expected {expected}, got {type(value).__name__}")
+
+
 class Number(FieldKind):
     """A number or a truth value, which a frame carries in binary; `code` as of module `struct`."""
 
@@ -79,9 +83,7 @@ class Integer(Number):
         if type(value) is int and self.low <= value <= self.high:
             return value
         if not is_whole(value):
-            raise FieldError(
-                f"{name}: expected a whole number, got {type(value).__name__}"
-            )
+            raise _wrong_type(name, "a whole number", value)
         if not self.low <= value <= self.high:
             raise FieldError(f"{name}: {value} is outside {self.low}..{self.high}")
         return int(value)
@@ -109,7 +111,7 @@ class Real(Number):
         if isinstance(value, float | np.floating) and not math.isfinite(value):
             raise NotFiniteError(f"{name}: {value} is not a finite number")
         if not is_real(value):
-            raise FieldError(f"{name}: expected a number, got {type(value).__name__}")
+            raise _wrong_type(name, "a number", value)
         # Numbers of numpy become Python's.
         number = float(value)
         if not self.low <= number <= self.high:
@@ -123,8 +125,8 @@ class Real(Number):
         return self.check
 
     def _known_number(self, name: str, number: Any) -> float | None:
+        # Only NaN differs from itself: it stands for None.
         if number != number:
-            # Only NaN differs from itself: it stands for None.
             return None
         return self.check(name, number)
 
@@ -137,9 +139,7 @@ class Flag(Number):
 
     def check(self, name: str, value: Any) -> bool:
         if not isinstance(value, bool):
-            raise FieldError(
-                f"{name}: expected true or false, got {type(value).__name__}"
-            )
+            raise _wrong_type(name, "true or false", value)
         return value
 
 
@@ -156,9 +156,8 @@ class Each(FieldKind):
     def check(self, name: str, value: Any) -> tuple[Any, ...]:
         if type(value) is not tuple:
             value = (value,)
-        # Looked up once, since this runs in each frame.
         check = self.kind.check
-        # The usual case, of one patch, without a list.
+        # This runs in each frame: the usual case, of one patch, makes no list.
         if len(value) == 1:
             return (check(name, value[0]),)
         return tuple([check(name, number) for number in value])
@@ -171,7 +170,7 @@ class Each(FieldKind):
 
     def unpack(self, name: str, raw: Any) -> tuple[Any, ...]:
         if not isinstance(raw, list | tuple):
-            raise FieldError(f"{name}: expected a list, got {type(raw).__name__}")
+            raise _wrong_type(name, "a list", raw)
         return self.check(name, tuple(raw))
 
 
@@ -197,13 +196,9 @@ class Names(FieldKind):
     def check(self, name: str, value: Any) -> tuple[str, ...]:
         if value == ():
             return ()
-        is_texts = isinstance(value, tuple) and all(
-            isinstance(text, str) for text in value
-        )
-        if not is_texts:
-            raise FieldError(
-                f"{name}: expected a tuple of texts, got {type(value).__name__}"
-            )
+        is_tuple = isinstance(value, tuple)
+        if not is_tuple or not all(isinstance(text, str) for text in value):
+            raise _wrong_type(name, "a tuple of texts", value)
         return _names(name, " ".join(value))
 
     def pack(self, value: Any) -> str:
@@ -211,7 +206,7 @@ class Names(FieldKind):
 
     def unpack(self, name: str, raw: Any) -> tuple[str, ...]:
         if not isinstance(raw, str):
-            raise FieldError(f"{name}: expected a text, got {type(raw).__name__}")
+            raise _wrong_type(name, "a text", raw)
         return _names(name, raw)
 
 
@@ -227,7 +222,7 @@ def _names(place: str, text: str) -> tuple[str, ...]:
         raise OversizedError(f"{place}: {len(names)} names, at most {MAX_PATCHES}")
     for name in names:
         check_name(place, name)
-    # Patches are told apart by their names alone.
+    # A reader tells patches apart by their names alone.
     if len(set(names)) < len(names):
         raise FieldError(f"{place}: a name occurs twice")
     return tuple(names)
@@ -242,7 +237,7 @@ class Text(FieldKind):
 
     def check(self, name: str, value: Any) -> str:
         if not isinstance(value, str):
-            raise FieldError(f"{name}: expected a text, got {type(value).__name__}")
+            raise _wrong_type(name, "a text", value)
         if len(value) > self.longest:
             raise OversizedError(
                 f"{name}: {len(value)} characters, at most {self.longest}"
@@ -287,7 +282,7 @@ class Array(FieldKind):
         if value is None and self.optional:
             return None
         if not isinstance(value, np.ndarray):
-            raise FieldError(f"{name}: expected an array, got {type(value).__name__}")
+            raise _wrong_type(name, "an array", value)
         # A message of one patch may be made without the axis of patches.
         if self.patches and value.ndim == self.ndim - 1:
             value = value[np.newaxis]
@@ -356,8 +351,9 @@ class Array(FieldKind):
             raise MalformedError(f"{name}: expected dtype and shape")
         dtype, shape = form
         bits = self._bits_of(name, dtype)
-        is_shape = isinstance(shape, list) and all(type(side) is int for side in shape)
-        if not is_shape:
+        # Not isinstance: True is an integer of Python, but no side.
+        is_list = isinstance(shape, list)
+        if not is_list or not all(type(side) is int for side in shape):
             raise MalformedError(f"{name}: shape must be a list of whole numbers")
         self._check_shape(name, tuple(shape))
         return dtype, tuple(shape), n_bytes(math.prod(shape), bits)
@@ -393,18 +389,16 @@ class Array(FieldKind):
     def _check_finite(self, name: str, value: npt.NDArray[Any]) -> None:
         if value.dtype.kind != "f":
             return
-        # The sum of squares is not finite if a value is not, or if values are huge.
+        # One pass over the values; where they are huge their squares overflow, and each is tested.
         energy = np.vdot(value, value)
         if math.isfinite(energy) or np.isfinite(value).all():
             return
-        # The first one is named, without the axis of patches where there is one patch.
-        place = np.argwhere(~np.isfinite(value))[0].tolist()
-        indices = place
+        indices = np.argwhere(~np.isfinite(value))[0].tolist()
+        number = value[tuple(indices)]
+        # Who sends one patch has no axis of patches.
         if self.patches and len(value) == 1:
-            indices = place[1:]
-        raise NotFiniteError(
-            f"{name}{indices}: {value[tuple(place)]} is not a finite number"
-        )
+            del indices[0]
+        raise NotFiniteError(f"{name}{indices}: {number} is not a finite number")
 
     def _check_shape(self, name: str, shape: tuple[int, ...]) -> None:
         # A side that counts what is sent may be 0.

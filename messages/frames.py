@@ -33,7 +33,6 @@ Floats = npt.NDArray[np.float32]
 Bytes = npt.NDArray[np.uint8]
 FINGERPRINT_PATTERN = r"[0-9a-f]{16}"
 
-
 MAPS = Array("<f4", 3, patches=True)
 """A value for each cell of each patch."""
 BITS = Array("|u1", 1, optional=True)
@@ -163,9 +162,7 @@ class Sensed(Frames):
         if self.missing is None:
             return None
         n = math.prod(shape)
-        # Rounded up: bits of the last byte may be unused.
-        n_bytes = -(-n // 8)
-        if self.missing.size != n_bytes:
+        if self.missing.size != math.ceil(n / 8):
             raise ShapeError(f"missing: {self.missing.size} bytes for {n} cells")
         bits = np.unpackbits(self.missing, count=n)
         return bits.reshape(shape).view(np.bool_)

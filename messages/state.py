@@ -96,8 +96,8 @@ class SkinState(Message):
         """Least standard deviation of the stated noise of a taxel, in `unit`: that of an untouched
         one where the range clips it; 0 where no noise is stated.
         """
-        # The range clips half of the noise of an untouched taxel.
         sd = min(self.sigma_mid, self.sigma_end)
+        # Half of the noise around 0 lies below the range, and is clipped.
         if self.clips_noise:
             sd *= CLIP_SD
         return sd
@@ -149,8 +149,8 @@ class Calibration(Message):
                 f"response_reading: {len(reading)} knots, but {len(force)} forces"
             )
 
+        # All of them are applied cell by cell.
         grids = (self.baseline, self.gains)
-        # All of them are multiplied cell by cell.
         shapes = {grid.shape for grid in grids if grid is not None}
         # A response of shape (K, 1, 1) is that of all taxels.
         if reading is not None and reading.shape[1:] != (1, 1):

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import argparse
 import os
+from collections.abc import Mapping
 from dataclasses import dataclass
 from importlib.util import find_spec
 from pathlib import Path
+from typing import Any
 
 from sparseskin.launch.commands.options import rare, whole
 from sparseskin.nodes.errors import SettingsError
@@ -119,6 +121,12 @@ def configure(parser: argparse.ArgumentParser) -> None:
         default=f"process:{len(os.sched_getaffinity(0))}",
         help=f"where points are computed: {FORMS} (default: %(default)s)",
     )
+    _add_options_of_studies(rare_options)
+    parser.set_defaults(run=_study)
+
+
+def _add_options_of_studies(rare_options: argparse._ArgumentGroup) -> None:
+    """Options that some studies take (`Study.options`), and those that are rarely used."""
     about = "accuracy: folder of recordings of real skins"
     rare_options.add_argument("--recordings", metavar="DIR", type=Path, help=about)
     about = "tasks: folder of frames with labels, STEMNIST or one .npz"
@@ -142,7 +150,6 @@ def configure(parser: argparse.ArgumentParser) -> None:
         rare_options.add_argument(
             option, action="store_true", default=None, help=f"accuracy: {about}"
         )
-    parser.set_defaults(run=_study)
 
 
 def _study(arguments: argparse.Namespace) -> int:
@@ -152,29 +159,9 @@ def _study(arguments: argparse.Namespace) -> int:
         hint = f"{nearest_of(name, by_name)}{failures(GROUP)}"
         raise SettingsError(f"study {name!r} is not known{hint}")
     study = by_name[name]
-    absent = [package for package in EXTRA if find_spec(package) is None]
-    if absent:
-        missing = (
-            f"{', '.join(absent)} {'is' if len(absent) == 1 else 'are'} not installed"
-        )
-        raise SettingsError(
-            f"study {name}: {missing}: pip install 'sparseskin[charts]'"
-        )
-    options = {}
-    for option in ("recordings", "data", "seeds", "constants", "alone", "worlds"):
-        value = getattr(arguments, option)
-        if value is None:
-            continue
-        if option not in study.options:
-            takers = ", ".join(
-                study_name
-                for study_name in by_name
-                if option in by_name[study_name].options
-            )
-            raise SettingsError(
-                f"--{option}: study {name!r} takes none; allowed: {takers}"
-            )
-        options[option] = value
+    _check_packages(name)
+    options = _options_of(name, by_name, arguments)
+
     out: Path = arguments.out or Path("out") / (
         f"{name}-quick" if arguments.quick else name
     )
@@ -182,6 +169,7 @@ def _study(arguments: argparse.Namespace) -> int:
         out.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise SettingsError(f"--out {out}: {error.strerror}") from error
+
     if study.numpy_only:
         os.environ.setdefault(ENVIRONMENT, "off")
     run = find_callable(study.target, SettingsError)
@@ -198,3 +186,32 @@ def _study(arguments: argparse.Namespace) -> int:
         print(f"- {line}")
     print(out / f"{name}.md")
     return 0
+
+
+def _check_packages(name: str) -> None:
+    """Raise SettingsError if a package that studies need is not installed."""
+    absent = [package for package in EXTRA if find_spec(package) is None]
+    if absent:
+        verb = "is" if len(absent) == 1 else "are"
+        missing = f"{', '.join(absent)} {verb} not installed"
+        raise SettingsError(
+            f"study {name}: {missing}: pip install 'sparseskin[charts]'"
+        )
+
+
+def _options_of(
+    name: str, by_name: Mapping[str, Study], arguments: argparse.Namespace
+) -> dict[str, Any]:
+    """The stated options of a study; raises SettingsError where it does not take one."""
+    options: dict[str, Any] = {}
+    for option in ("recordings", "data", "seeds", "constants", "alone", "worlds"):
+        value = getattr(arguments, option)
+        if value is None:
+            continue
+        if option not in by_name[name].options:
+            takers = [study for study in by_name if option in by_name[study].options]
+            raise SettingsError(
+                f"--{option}: study {name!r} takes none; allowed: {', '.join(takers)}"
+            )
+        options[option] = value
+    return options

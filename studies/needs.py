@@ -235,6 +235,10 @@ def _table(rows: pd.DataFrame) -> pd.DataFrame:
     )
 
 
+CHANGES_DB = (10.0, 105.0)
+"""Ends of the axis of changes."""
+
+
 def _draw(out: Path, rows: pd.DataFrame) -> str:
     scenes = list(rows["scene"].unique())
     names = list(rows["variant"].unique())[::-1]
@@ -247,39 +251,10 @@ def _draw(out: Path, rows: pd.DataFrame) -> str:
     }
     with Chart(out, "scene-needs", caption, len(scenes), 3, **how) as chart:
         for k, (axes, scene) in enumerate(zip(chart.panels, scenes, strict=True)):
-            mine = rows[rows["scene"] == scene]
-            noise_db = mine["noise_db"].iloc[0]
-            axes.axvspan(
-                10.0, noise_db, color="#dddddd", zorder=0, label="above the noise"
-            )
-            style: dict[str, Any] = {
-                "ha": "center",
-                "va": "top",
-                "color": "0.3",
-                "fontsize": 8,
-            }
-            texts = "above the noise:\nneeded", "below the noise:\ncan be left out"
-            for edge, text in zip((10.0, 105.0), texts, strict=True):
-                axes.text((edge + noise_db) / 2, len(names) + 0.75, text, **style)
-            for carried, colour, marker, label in (
-                (True, PALETTE[0], "o", "removed"),
-                (False, PALETTE[1], "s", "added"),
-            ):
-                of_kind = mine[mine["carried"] == carried]
-                heights = [names.index(name) for name in of_kind["variant"]]
-                changes = of_kind["change_db"]
-                worst = of_kind["worst_db"]
-                axes.hlines(heights, worst, changes, color=colour, lw=1.0)
-                axes.plot(changes, heights, marker, color=colour, label=label)
-                axes.plot(
-                    worst,
-                    heights,
-                    "|",
-                    color=colour,
-                    ms=9,
-                    label=f"{label}: worst frame",
-                )
-            axes.set(xlim=(10.0, 105.0), ylim=(-0.6, len(names) + 0.9), title=scene)
+            of_scene = rows[rows["scene"] == scene]
+            _mark_noise(axes, of_scene["noise_db"].iloc[0], len(names))
+            _draw_changes(axes, of_scene, names)
+            axes.set(xlim=CHANGES_DB, ylim=(-0.6, len(names) + 0.9), title=scene)
             axes.set_yticks(range(len(names)), [""] * len(names) if k % 3 else names)
         chart.figure.suptitle(
             "What a scene needs: its frames with one term removed or added, against its own\n"
@@ -288,3 +263,35 @@ def _draw(out: Path, rows: pd.DataFrame) -> str:
         )
         chart.label("change, dB (left: larger)", "")
     return chart.markdown
+
+
+def _mark_noise(axes: Any, noise_db: float, n_names: int) -> None:
+    """Shade the changes that are larger than the noise, and say what either side means."""
+    axes.axvspan(
+        CHANGES_DB[0], noise_db, color="#dddddd", zorder=0, label="above the noise"
+    )
+    style: dict[str, Any] = {
+        "ha": "center",
+        "va": "top",
+        "color": "0.3",
+        "fontsize": 8,
+    }
+    texts = "above the noise:\nneeded", "below the noise:\ncan be left out"
+    for edge, text in zip(CHANGES_DB, texts, strict=True):
+        axes.text((edge + noise_db) / 2, n_names + 0.75, text, **style)
+
+
+def _draw_changes(axes: Any, of_scene: pd.DataFrame, names: list[str]) -> None:
+    """Draw the changes of a scene's variants: mean and worst frame of each."""
+    for carried, colour, marker, label in (
+        (True, PALETTE[0], "o", "removed"),
+        (False, PALETTE[1], "s", "added"),
+    ):
+        of_kind = of_scene[of_scene["carried"] == carried]
+        heights = [names.index(name) for name in of_kind["variant"]]
+        changes = of_kind["change_db"]
+        worst = of_kind["worst_db"]
+        axes.hlines(heights, worst, changes, color=colour, lw=1.0)
+        axes.plot(changes, heights, marker, color=colour, label=label)
+        label_of_worst = f"{label}: worst frame"
+        axes.plot(worst, heights, "|", color=colour, ms=9, label=label_of_worst)

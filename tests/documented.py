@@ -29,9 +29,8 @@ def documented() -> dict[str, dict[Parts, set[str]]]:
                 parts = tuple(path.replace("[]", ".[]").split("."))
                 assert parts not in fields, (name, path)
                 fields[parts] = set(types.split(" / "))
-        for parts, kinds in list(
-            fields.items()
-        ):  # lists and objects that only their parts show
+        # lists and objects that only their parts show
+        for parts, kinds in list(fields.items()):
             for k in range(1, len(parts)):
                 kind = "list" if parts[k] == "[]" else "object"
                 fields.setdefault(parts[:k], {kind} | kinds & {"absent"})

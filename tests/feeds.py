@@ -91,9 +91,8 @@ def served(graph: Graph, page: Any) -> Iterator[None]:
     """The live page of a feed, opened in a browser."""
     server = PageServer(graph.feed, Notices(graph.feed), 0, lambda request: None)
     with contextlib.closing(server):
-        page.get(
-            "about:blank"
-        )  # an address that differs in its hash alone loads no page
+        # an address that differs in its hash alone loads no page
+        page.get("about:blank")
         page.get(server.url)
         yield
 

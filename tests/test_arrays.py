@@ -87,10 +87,11 @@ def test_row_subsets_measure_frames_in_turn():
 @pytest.mark.parametrize("solver", ["skin", "fista"])
 def test_arrays_give_the_bits_of_the_nodes_by_default(solver):
     stated = {"skin": "iterations=24", "fista": "preset=paper"}[solver]
+    # touched from frame 320 on
     settings = [
         "sensor.first=310",
         f"reconstructor.{stated}",
-    ]  # touched from frame 320 on
+    ]
     launch = sparseskin.load_launch("lift_box_40", settings)
     frames = list(sparseskin.run_launch(launch, 30))
     assert frames[0].patch == "skin"
@@ -160,9 +161,8 @@ def test_a_node_that_fails_or_refuses_ends_a_run_with_its_error(tmp_path, monkey
     source = f"sensor.source=file:{file}"
     failing = [source, "sensor.rate_hz=100", "sensor.unit=N", "compressor.ratio=5000"]
     line = r"^--set compressor.ratio=5000: 5000 leaves no measurement of 64 taxels"
-    with pytest.raises(
-        SparseskinError, match=line
-    ):  # before the run: the file states its shape
+    # before the run: the file states its shape
+    with pytest.raises(SparseskinError, match=line):
         list(sparseskin.run_launch("replay", 3, failing))
     (tmp_path / "own_driver.py").write_text(
         "def frames():\n    yield 0, [[0.5] * 8] * 8\n"

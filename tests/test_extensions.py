@@ -73,10 +73,11 @@ def brought(monkeypatch, tmp_path, offering):
 def test_what_another_package_brings_is_used(tmp_path, capsys):
     assert cli.main(["greet", "--name", "you"]) == 0
     assert capsys.readouterr().out == "hello you\n"
+    # none replaces a command of the core
     assert sorted(cli.plugins()) == [
         "broken",
         "greet",
-    ]  # none replaces a command of the core
+    ]
     assert cli.about("launch") == cli.COMMANDS["launch"][::2]
     assert node_class("own").__module__ == "brought"
     (tmp_path / "own.csv").write_text("counts\n1 2 3\n4 5 6\n")

@@ -18,13 +18,14 @@ from sparseskin.nodes.sensor.noise import PAPER_SIGMA_END_N, PAPER_SIGMA_MID_N
 FRAMES = np.random.default_rng(0).random((7, 8, 8), dtype=np.float32)
 
 
+# touched from frame 320 on
 @pytest.mark.parametrize(
     ("settings", "chosen"),
     [
         (
             ["sensor.first=310", "reconstructor.iterations=24"],
             {},
-        ),  # touched from frame 320 on
+        ),
         (
             [
                 "compressor.rows=paper",

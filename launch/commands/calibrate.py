@@ -64,7 +64,16 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "source", metavar="SOURCE", help="as sensor.source; readings may be raw"
     )
-    # What every calibration states comes first, then options of presses.
+    _add_presses(parser, rarely_used)
+    _add_readings(parser, rarely_used)
+    add_layout(parser, but=("unit", "f_max", "rate_hz"))
+    parser.set_defaults(run=_calibrate)
+
+
+def _add_presses(
+    parser: argparse.ArgumentParser, rarely_used: argparse._ArgumentGroup
+) -> None:
+    """Options of the file that is written, of untouched frames, and of presses."""
     about = "file to write, NAME.toml; large arrays lie beside it in NAME.npz"
     parser.add_argument("--out", metavar="F.toml", type=Path, required=True, help=about)
     about = "untouched frames: the first seconds (3s), a part of a recording (5-8s), or a file"
@@ -84,9 +93,14 @@ def configure(parser: argparse.ArgumentParser) -> None:
     )
     about = "even loads of several weights: one curve for all taxels, one each, or none"
     rarely_used.add_argument("--curve", choices=CURVES, default=CURVES[0], help=about)
-    rarely_used.add_argument(
-        "--name", help="name of the skin; default: that of the file"
-    )
+
+
+def _add_readings(
+    parser: argparse.ArgumentParser, rarely_used: argparse._ArgumentGroup
+) -> None:
+    """Options of what a skin and its readings are."""
+    about = "name of the skin; default: that of the file"
+    rarely_used.add_argument("--name", help=about)
     about = (
         "upper end of a taxel's range; default: 1.25 times the largest force of a press"
     )
@@ -105,8 +119,6 @@ def configure(parser: argparse.ArgumentParser) -> None:
     )
     about = "let the range begin below 0, so that noise around 0 is not clipped"
     rarely_used.add_argument("--keep-noise", action="store_true", help=about)
-    add_layout(parser, but=("unit", "f_max", "rate_hz"))
-    parser.set_defaults(run=_calibrate)
 
 
 def _calibrate(arguments: argparse.Namespace) -> int:

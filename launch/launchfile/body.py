@@ -31,6 +31,8 @@ SKIN = "skin"
 """Name of the table."""
 MAX_BODY = 4096
 """Most patches of a body."""
+BODY_KEYS = ("patches", "description")
+"""Keys of a body file."""
 _OF_SKIN = (
     "n_rows",
     "n_cols",
@@ -104,9 +106,8 @@ class Patch:
             values |= {"n_rows": s.n_rows, "n_cols": s.n_cols}
             values["pitch_mm"] = s.pitch_mm or PITCH_MM
             if s.mask is not None and not s.mask.all():
-                values["mask"] = [
-                    "".join("01"[cell] for cell in row) for row in s.mask.astype(int)
-                ]
+                rows = s.mask.astype(int)
+                values["mask"] = ["".join(map(str, row)) for row in rows]
         return {key: value for key, value in values.items() if value is not None}
 
 
@@ -127,6 +128,7 @@ def read_skin(table: object, folder: Path, fault: Fault) -> list[Batch]:
     in `folder`; none if there is an error, each of which is noted.
     """
     n_faults = 0
+    patches: list[Patch] = []
 
     def note(place: tuple[str, ...], problem: str) -> None:
         nonlocal n_faults
@@ -136,23 +138,23 @@ def read_skin(table: object, folder: Path, fault: Fault) -> list[Batch]:
     (stated,), _ = read_table(table, (SKIN,), note, SkinTable())
     if stated.body:
         patches = read_body(folder / stated.body, partial(note, (SKIN, "body")))
-    elif stated.patches is None:
-        if not n_faults:
-            note((SKIN, "patches"), f"is missing, and body too; allowed: 1..{MAX_BODY}")
-    else:
-        values = {
-            key: getattr(stated, key)
-            for key in ("n_rows", "n_cols", "pitch_mm", "f_max")
-        }
+    elif stated.patches is not None:
+        keys = ("n_rows", "n_cols", "pitch_mm", "f_max")
         try:
-            skin = SkinDescription(name=SKIN, **values)
+            skin = SkinDescription(
+                name=SKIN, **{key: getattr(stated, key) for key in keys}
+            )
+            # Equal widths, so that the order of names is that of numbers.
+            width = len(str(stated.patches - 1))
+            patches = [Patch(f"p{k:0{width}d}", skin) for k in range(stated.patches)]
         except SparseskinError as error:
             key, _, problem = str(error).partition(": ")
             note((SKIN, key), problem)
-        else:
-            width = len(str(stated.patches - 1))
-            patches = [Patch(f"p{k:0{width}d}", skin) for k in range(stated.patches)]
-    return [] if n_faults else list(batches_of(patches, stated.batch))
+    elif not n_faults:
+        note((SKIN, "patches"), f"is missing, and body too; allowed: 1..{MAX_BODY}")
+    if n_faults:
+        return []
+    return list(batches_of(patches, stated.batch))
 
 
 def read_body(path: Path, fault: Callable[[str], None]) -> list[Patch]:
@@ -166,23 +168,22 @@ def read_body(path: Path, fault: Callable[[str], None]) -> list[Patch]:
     try:
         with path.open(encoding="utf-8") as file:
             tree = parse_toml(file.read(MAX_FILE_CHARS + 1), MAX_FILE_CHARS)
-    except (OSError, ValueError) as error:
-        why = (
-            error.strerror
-            if isinstance(error, OSError)
-            else " ".join(str(error).split())
-        )
-        fault(f"{path}: cannot be read ({why})")
+    except OSError as error:
+        fault(f"{path}: cannot be read ({error.strerror})")
         return []
+    except ValueError as error:
+        fault(f"{path}: cannot be read ({' '.join(str(error).split())})")
+        return []
+
     for key in tree:
-        if key not in ("patches", "description"):
-            fault(
-                f"{path}: {key[:40]}: unknown key{did_you_mean(key, ('patches', 'description'))}"
-            )
+        if key not in BODY_KEYS:
+            hint = did_you_mean(key, BODY_KEYS)
+            fault(f"{path}: {key[:40]}: unknown key{hint}")
     tables = tree.get("patches")
     if not isinstance(tables, list) or not 1 <= len(tables) <= MAX_BODY:
         fault(f"{path}: patches: expected 1..{MAX_BODY} tables [[patches]]")
         return []
+    # A faulty patch is left out, so that all faults are found at once.
     patches: dict[str, Patch] = {}
     for k, table in enumerate(tables):
         where = f"{path}: patches[{k}]"
@@ -200,53 +201,62 @@ def _patch(table: object, where: str, folder: Path) -> Patch:
     """One table [[patches]]; SparseskinError with its place if it is not as stated."""
     if not isinstance(table, dict):
         raise SparseskinError(f"{where}: expected a table [[patches]]")
-    allowed = (
-        *(table_field.name for table_field in dataclasses.fields(PatchTable)),
-        *_OF_SKIN,
-    )
+    patch_keys = [table_field.name for table_field in dataclasses.fields(PatchTable)]
+    allowed = (*patch_keys, *_OF_SKIN)
     for key in table:
         if key not in allowed:
-            raise SparseskinError(
-                f"{where}.{key[:40]}: unknown key{did_you_mean(key, allowed)}"
-            )
+            hint = did_you_mean(key, allowed)
+            raise SparseskinError(f"{where}.{key[:40]}: unknown key{hint}")
     name: Any = table.get("name")
-    if why := bad_name(name):
+    why = bad_name(name)
+    if why:
         raise SparseskinError(f"{where}.name: {why}")
+
+    # From here on errors name the patch, too.
     where = f"{where} ({name})"
     skin_keys = {key: table[key] for key in _OF_SKIN if key in table}
+    of_patch = {key: table[key] for key in patch_keys if key in table}
     try:
-        stated = PatchTable(
-            **{key: value for key, value in table.items() if key not in skin_keys}
-        )
+        stated = PatchTable(**of_patch)
     except SparseskinError as error:
         raise SparseskinError(f"{where}.{error}") from error
-    if stated.skin:
-        if skin_keys:
-            raise SparseskinError(
-                f"{where}.{next(iter(skin_keys))}: is stated beside skin"
-            )
-        skin = load_skin(folder / stated.skin)
-    else:
-        flat = {} if "points" in skin_keys else {"pitch_mm": PITCH_MM}
-        values = {"name": name, "f_max": PAPER_F_MAX_N, **flat, **skin_keys}
+    skin = _skin(stated, skin_keys, where, folder)
+    _check_compressor(stated, where)
+    if stated.pose is not None:
+        check_pose(f"{where}.pose", stated.pose)
+    return Patch(name, skin, stated.host, stated.compressor or {}, stated.pose)
+
+
+def _skin(
+    stated: PatchTable, skin_keys: dict[str, Any], where: str, folder: Path
+) -> SkinDescription:
+    """The skin of a patch, from its file or from the keys of its table."""
+    if not stated.skin:
+        # The taxels of a layout have places of their own.
+        pitch = {} if "points" in skin_keys else {"pitch_mm": PITCH_MM}
+        values = {"name": stated.name, "f_max": PAPER_F_MAX_N, **pitch, **skin_keys}
         skin = parse_skin(values, where, folder)
+    else:
+        for key in skin_keys:
+            raise SparseskinError(f"{where}.{key}: is stated beside skin")
+        skin = load_skin(folder / stated.skin)
     if skin.unit != "N":
-        raise SparseskinError(
-            f"{where}.unit: '{skin.unit}'; allowed for a simulated body: N"
-        )
+        allowed = "allowed for a simulated body: N"
+        raise SparseskinError(f"{where}.unit: '{skin.unit}'; {allowed}")
+    return skin
+
+
+def _check_compressor(stated: PatchTable, where: str) -> None:
     compressor = stated.compressor or {}
     for key in ("patch", "patches"):
         if key in compressor:
             raise SparseskinError(f"{where}.compressor.{key}: is given by the body")
+    # Checked as of a batch of two, which allows less than one patch does.
+    patches = [stated.name, f"{stated.name}_"]
     try:
-        CompressorSettings.from_mapping(
-            {**compressor, "patches": [name, f"{name}_"]}
-        ).check()
+        CompressorSettings.from_mapping({**compressor, "patches": patches}).check()
     except SparseskinError as error:
         raise SparseskinError(f"{where}.compressor.{error}") from error
-    if stated.pose is not None:
-        check_pose(f"{where}.pose", stated.pose)
-    return Patch(name, skin, stated.host, compressor, stated.pose)
 
 
 def batches_of(patches: list[Patch], most: int) -> Iterator[Batch]:
@@ -254,10 +264,12 @@ def batches_of(patches: list[Patch], most: int) -> Iterator[Batch]:
     kinds: dict[str, list[Patch]] = {}
     for patch in patches:
         kinds.setdefault(patch.kind, []).append(patch)
+
+    # A message holds all patches of a batch, and their names.
     parts: list[list[Patch]] = []
     for alike in kinds.values():
-        cells = alike[0].skin.n_rows * alike[0].skin.n_cols
-        room = max(1, min(most, MAX_ELEMENTS // cells))
+        skin = alike[0].skin
+        room = max(1, min(most, MAX_ELEMENTS // (skin.n_rows * skin.n_cols)))
         part: list[Patch] = []
         for patch in alike:
             length = sum(len(each.name) + 1 for each in [*part, patch])
@@ -266,8 +278,10 @@ def batches_of(patches: list[Patch], most: int) -> Iterator[Batch]:
                 part = []
             part.append(patch)
         parts.append(part)
+
     for k, part in enumerate(parts, start=1):
-        yield Batch("body" if len(parts) == 1 else f"body_{k}", tuple(part))
+        name = "body" if len(parts) == 1 else f"body_{k}"
+        yield Batch(name, tuple(part))
 
 
 def expand(
@@ -279,14 +293,16 @@ def expand(
     its own, is left as it is, a monitor gets all batches.
     """
     if "batches" in fields:
-        all_names = {batch.name: batch.names for batch in batches}
-        every = [patch for batch in batches for patch in batch.patches]
-        poses = {
-            patch.name: list(patch.pose) for patch in every if patch.pose is not None
-        }
-        return {name: {"patches": [], "batches": all_names, "poses": poses, **table}}
+        names = {batch.name: batch.names for batch in batches}
+        poses = {}
+        for batch in batches:
+            for patch in batch.patches:
+                if patch.pose is not None:
+                    poses[patch.name] = list(patch.pose)
+        return {name: {"patches": [], "batches": names, "poses": poses, **table}}
     if not {"patch", "patches"} <= fields or "patches" in table or "patch" in table:
         return {name: dict(table)}
+
     tables = {}
     for k, batch in enumerate(batches, start=1):
         # All patches of a batch have these in common.
@@ -298,5 +314,6 @@ def expand(
             values |= patch.compressor
         if patch.host:
             values["host"] = patch.host
-        tables[name if len(batches) == 1 else f"{name}_{k}"] = {**table, **values}
+        node = name if len(batches) == 1 else f"{name}_{k}"
+        tables[node] = {**table, **values}
     return tables

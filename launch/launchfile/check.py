@@ -82,13 +82,12 @@ class Checker:
             if key not in TABLES:
                 self.fault((key,), f"unknown table{did_you_mean(key, TABLES)}")
         tables = self.node_tables()
+        # Changes come first: each value is checked as it will be used.
         for override in overrides:
             self.override(override, tables)
+        defaults = [cls() for cls in GRAPH_TABLES]
         (graph, *self.supervision), _ = read_table(
-            self.tree.get(GRAPH, {}),
-            (GRAPH,),
-            self.fault,
-            *(cls() for cls in GRAPH_TABLES),
+            self.tree.get(GRAPH, {}), (GRAPH,), self.fault, *defaults
         )
         hosts = read_hosts(self.tree, self.fault)
         security = read_security(self.tree, hosts, self.folder, self.fault)
@@ -100,10 +99,12 @@ class Checker:
             # A process of its own: that it writes a file holds up no other node.
             tables[RECORDER] = {"type": "recorder", "out": record, "process": ""}
             self.overridden[RECORDER, "out"] = "--record"
-        for node_name, table in tables.items() if hosts else ():
-            if node_name != RECORDER or record is None:
-                self.places[node_name] = str(table.pop("host", ""))
-                check_place(node_name, self.places[node_name], hosts, self.fault)
+        if hosts:
+            for name, table in tables.items():
+                # The recorder of --record runs wherever that was typed.
+                if name != RECORDER or record is None:
+                    self.places[name] = str(table.pop("host", ""))
+                    check_place(name, self.places[name], hosts, self.fault)
 
         nodes = self.nodes(tables)
         links: list[Link] = []
@@ -148,10 +149,9 @@ class Checker:
 
     def joined(self, nodes: dict[str, NodeSpec]) -> list[Link]:
         """The links of the graph; none, and a fault noted, where they cannot be made."""
+        classes = {name: (spec.cls, spec.settings) for name, spec in nodes.items()}
         try:
-            return join(
-                {spec.name: (spec.cls, spec.settings) for spec in nodes.values()}
-            )
+            return join(classes)
         except SparseskinError as error:
             self.errors.append(f"{self.title}: {error}")
             return []
@@ -159,11 +159,10 @@ class Checker:
     def place(self, nodes: dict[str, NodeSpec], hosts: Mapping[str, Host]) -> None:
         """Put nodes on their hosts, with the ports at which they publish there."""
         # All that publish, read or not: a recorder more on one host moves no port of another.
-        publish = {
-            name: place for name, place in self.places.items() if nodes[name].outputs
-        }
+        places = self.places
+        publish = {name: places[name] for name in places if nodes[name].outputs}
         endpoints = give_ports(publish, hosts, self.fault)
-        for name, place in self.places.items():
+        for name, place in places.items():
             public = endpoints.get(name, "")
             nodes[name] = replace(nodes[name], host=place, public=public)
 
@@ -185,8 +184,10 @@ class Checker:
         """The tables with the nodes that serve the body of the table [skin], where there is one."""
         if SKIN not in self.tree:
             return tables
-        from .body import expand, read_skin  # with it simulated scenes
+        # Imported here: with it come simulated scenes.
+        from .body import expand, read_skin
 
+        # A file that --set names is found from where the command was typed.
         folder = Path() if (SKIN, "body") in self.overridden else self.folder
         batches = read_skin(self.tree[SKIN], folder, self.fault)
         if not batches:
@@ -195,21 +196,19 @@ class Checker:
         for name, table in tables.items():
             try:
                 fields = _setting_names(node_class(table["type"]))
-            except (SparseskinError, KeyError, TypeError):  # reported with the node
+            except (SparseskinError, KeyError, TypeError):
+                # Reported with the node.
                 fields = set()
             of_batches = expand(name, table, fields, batches)
             self.templates |= dict.fromkeys(of_batches, name)
-            for again in of_batches:
-                if again in node_tables or (again != name and again in tables):
-                    self.fault(
-                        ("nodes", name),
-                        f"makes a node '{again}', of which there is one",
-                    )
+            for node in of_batches:
+                if node in node_tables or (node != name and node in tables):
+                    problem = f"makes a node '{node}', of which there is one"
+                    self.fault(("nodes", name), problem)
             node_tables |= of_batches
         if len(node_tables) > MAX_NODES:
-            self.errors.append(
-                f"{self.title}: {len(node_tables)} nodes; at most {MAX_NODES} are allowed"
-            )
+            problem = f"{len(node_tables)} nodes; at most {MAX_NODES} are allowed"
+            self.errors.append(f"{self.title}: {problem}")
             raise LaunchError(self.errors[:MAX_ERRORS])
         return node_tables
 
@@ -224,18 +223,22 @@ class Checker:
         elif node == GRAPH and node not in tables:
             graph = self.tree.setdefault(GRAPH, {})
             if not isinstance(graph, dict):
-                return  # reported with the table
+                # Reported with the table.
+                return
             tables = {GRAPH: graph}
         if node not in tables:
             hint = did_you_mean(node, [*tables, GRAPH])
             self.errors.append(f"--set {text}: unknown node '{node}'{hint}")
             return
         value = toml_or_text(raw)
+        place: tuple[str, ...] = (node, key)
         if part is not None:
             table = tables[node].get(key)
             value = {**(table if isinstance(table, dict) else {}), part: value}
+            # Tables of [graph] are checked as a whole.
+            if node != GRAPH:
+                place = (node, key, part)
         tables[node][key] = value
-        place = (node, key, part) if part is not None and node != GRAPH else (node, key)
         self.overridden[place] = f"--set {text}"
 
     def node(self, name: str, table: dict[str, Any]) -> NodeSpec | None:
@@ -255,40 +258,51 @@ class Checker:
         # A recorder, recognised by its settings: importing its class loads the writers of files.
         if {"launch", "source", "out"} <= _setting_names(cls):
             values = {"launch": self.launched, "source": self.name} | values
-        deciding = [
-            f.name
-            for f in dataclasses.fields(cls.Settings)
-            if f.metadata["range"].decides
-        ]
+        settings = self.settings(name, cls, values)
+        if settings is None:
+            return None
+        return NodeSpec(
+            name,
+            type_name,
+            cls,
+            values,
+            settings,
+            restart,
+            scheduling,
+            process=composition.process,
+        )
+
+    def settings(
+        self, name: str, cls: type[Node[Any]], values: dict[str, Any]
+    ) -> Settings | None:
+        """The settings of a node without the values that are faulty, each of which is noted; None
+        where the node cannot be checked any further.
+        """
+        fields = dataclasses.fields(cls.Settings)
+        deciding = [each.name for each in fields if each.metadata["range"].decides]
         right = dict(values)
         decided = True
         while True:
             try:
-                settings = cls.Settings.from_mapping(right)
-                if decided:
-                    self.check_settings(name, settings)
+                settings: Settings = cls.Settings.from_mapping(right)
+                if not decided:
+                    return None
+                self.check_settings(name, settings)
+                return settings
             except SparseskinError as error:
+                # A value that was left out has to be stated.
                 if str(error).partition(":")[0] in values.keys() - right.keys():
-                    return None  # it has to be stated
+                    return None
                 key, part = self.node_fault(name, right, error)
                 if not key:
                     return None
                 # With the fault left out, the others are found, but for those that follow from it.
                 decided = decided and not get_close_matches(key, deciding)
                 if part:
-                    right[key] = {
-                        k: value for k, value in right[key].items() if k != part
-                    }
+                    right[key] = dict(right[key])
+                    del right[key][part]
                 else:
                     del right[key]
-                continue
-            if not decided:
-                return None
-            policies = {"restart": restart, "scheduling": scheduling}
-            process = composition.process
-            return NodeSpec(
-                name, type_name, cls, values, settings, **policies, process=process
-            )
 
     def check_settings(self, name: str, settings: Settings) -> None:
         """Check settings; a device that is not on this host is looked for by the node itself where
@@ -311,23 +325,26 @@ class Checker:
         """
         begin, _, text = str(error).partition(":")
         key, _, part = begin.partition(".")
-        problem = text.strip() if key in values else str(error)
-        if key not in values:  # the line may begin with a value, as the name of a file
-            key = next(
-                (k for k, value in values.items() if value and value == begin), ""
-            )
+        if key in values:
+            problem = text.strip()
+        else:
+            # The line may begin with a value, as the name of a file.
+            problem = str(error)
+            equal = (k for k, value in values.items() if value and value == begin)
+            key = next(equal, "")
             part = ""
         if part and part not in values[key]:
             part = ""
         place = tuple(filter(None, ("nodes", name, key, part)))
         problem = spelled(problem, lambda key: f"--set {name}.{key}=")
-        self.fault(
-            place, problem + (_to_name(name, values) if TO_NAME in problem else "")
-        )
+        if TO_NAME in problem:
+            problem += _to_name(name, values)
+        self.fault(place, problem)
         return key, part
 
     def fault(self, place: tuple[str, ...], problem: str) -> None:
         """Note an error at a place, with the line of the file or the --set it comes from."""
+        # The file has the table from which the nodes of a body are made.
         if place[0] == "nodes" and len(place) > 1:
             place = ("nodes", self.templates.get(place[1], place[1]), *place[2:])
         stated = place if place[0] in (SKIN, GRAPH) else place[1:]
@@ -336,13 +353,11 @@ class Checker:
             return
         line = _line_of(self.text, place)
         where = f"{self.title}:{line}" if line else self.title
-        self.errors.append(
-            f"{where}: {'.'.join(place)[:MAX_ERROR]}: {one_line_of(problem)}"
-        )
+        key = ".".join(place)[:MAX_ERROR]
+        self.errors.append(f"{where}: {key}: {one_line_of(problem)}")
         if len(self.errors) >= MAX_ERRORS:
-            raise LaunchError(
-                [*self.errors, f"{self.title}: perhaps more; these come first"]
-            )
+            notice = f"{self.title}: perhaps more; these come first"
+            raise LaunchError([*self.errors, notice])
 
 
 def _setting_names(cls: type[Node[Any]]) -> set[str]:
@@ -371,12 +386,16 @@ def _line_of(text: str, place: tuple[str, ...]) -> int:
             if table == place[:-1] or table[: len(place)] == place:
                 nearest = nearest or number
         else:
-            key = line.partition("=")[0].strip(" \"'\t")
-            if key and "=" in line and (*table, *key.split(".")) == place:
+            key, equals, _ = line.partition("=")
+            key = key.strip(" \"'\t")
+            if key and equals and (*table, *key.split(".")) == place:
                 return number
     return nearest
 
 
-def one_line_of(what: object) -> str:
-    text = " ".join(str(what).split())
-    return text if len(text) <= MAX_ERROR else f"{text[:MAX_ERROR]}..."
+def one_line_of(problem: object) -> str:
+    """A text or an error in one line of at most `MAX_ERROR` characters."""
+    text = " ".join(str(problem).split())
+    if len(text) <= MAX_ERROR:
+        return text
+    return f"{text[:MAX_ERROR]}..."

@@ -2,7 +2,6 @@
 
 import ipaddress
 from collections.abc import Mapping
-from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -37,17 +36,20 @@ class Host(Settings):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        parsed = None
-        with suppress(ValueError):
-            parsed = ipaddress.IPv4Address(self.address)
         # That none is stated is reported as missing.
-        if self.address and (
-            parsed is None or parsed.is_unspecified or parsed.is_multicast
-        ):
+        if self.address and not _is_of_a_host(self.address):
             allowed = "(allowed: the IPv4 address of one host, as 192.168.1.10)"
             raise SettingsError(
                 f"address: {self.address!r} is no address of a host {allowed}"
             )
+
+
+def _is_of_a_host(address: str) -> bool:
+    try:
+        parsed = ipaddress.IPv4Address(address)
+    except ValueError:
+        return False
+    return not parsed.is_unspecified and not parsed.is_multicast
 
 
 @dataclass(frozen=True)
@@ -63,9 +65,8 @@ class Security(Settings):
     def __post_init__(self) -> None:
         super().__post_init__()
         if any(map(bad_name, self.allow)):
-            raise SettingsError(
-                f"allow: expected a list of names of keys, got {self.allow}"
-            )
+            expected = "expected a list of names of keys"
+            raise SettingsError(f"allow: {expected}, got {self.allow}")
 
 
 def read_hosts(tree: Mapping[str, Any], fault: Fault) -> dict[str, Host]:
@@ -95,11 +96,12 @@ def read_security(
         fault((*place, "key"), "with several hosts each has its own: hosts.NAME.key")
     elif not hosts and bad_name(security.key):
         fault((*place, "key"), "expected the name of this graph's key, a text")
+    # All hosts of the graph may read each other; a graph of one host is read with its own key.
     allow = security.allow or tuple(host.key for host in hosts.values() if host.key)
-    allow = allow or tuple(filter(None, (security.key,)))
-    with_folder: Security = replace(
-        security, keys=str(folder / security.keys), allow=allow
-    )
+    if not allow and security.key:
+        allow = (security.key,)
+    keys = str(folder / security.keys)
+    with_folder: Security = replace(security, keys=keys, allow=allow)
     return with_folder
 
 
@@ -139,17 +141,13 @@ def give_ports(
         port = next_port[host]
         next_port[host] += 1
         endpoint = f"tcp://{hosts[host].address}:{port}"
+        place = ("nodes", node)
         if port not in PORTS:
-            fault(
-                ("nodes", node),
-                f"port {port} is outside {PORTS.start}..{PORTS.stop - 1}",
-            )
+            fault(place, f"port {port} is outside {PORTS.start}..{PORTS.stop - 1}")
+        # Two hosts of one address may have ranges of ports that overlap.
         for other_node, taken in endpoints.items():
             if endpoint == taken:
-                fault(
-                    ("nodes", node),
-                    f"publishes at {endpoint}, where {other_node} does too",
-                )
+                fault(place, f"publishes at {endpoint}, where {other_node} does too")
         endpoints[node] = endpoint
     return endpoints
 
@@ -181,11 +179,9 @@ def read_credentials(
     file = folder / f"{key}{SECRET_SUFFIX}"
     key_pair = read_key_pair(file)
     allowed = {public(name): name for name in security.allow}
-    servers = {
-        name: public(host.key) for name, host in hosts.items() if host.key != key
-    }
     # The nodes of this host read from each other with its own key.
     allowed[key_pair.public] = key
-    return Credentials(
-        key_pair, str(file.resolve()), allowed, known_names(folder), servers
-    )
+    peers = {name: host.key for name, host in hosts.items() if host.key != key}
+    servers = {name: public(peer_key) for name, peer_key in peers.items()}
+    names = known_names(folder)
+    return Credentials(key_pair, str(file.resolve()), allowed, names, servers)

@@ -76,14 +76,18 @@ def load(
             [f'settings: expected a list, as ["{overrides}"], not a text']
         )
     path = find_launch_file(name)
-    title = path.name if path.parent == BUNDLED else str(path)
+    title = path.name
+    folder = ""
+    if path.parent != BUNDLED:
+        title = str(path)
+        folder = str(path.resolve().parent)
     try:
+        # No further than what shows that it is too long.
         with path.open(encoding="utf-8") as file:
             text = file.read(MAX_CHARS + 1)
         tree = parse_toml(text)
     except (OSError, ValueError) as error:
         raise LaunchError([_unreadable(title, error)]) from error
-    folder = "" if path.parent == BUNDLED else str(path.resolve().parent)
     if folder:
         search_in(folder)
     launch = Checker(title, text, tree, path.stem, path.parent).check(overrides, record)
@@ -93,11 +97,12 @@ def load(
 def _unreadable(shown: str, error: Exception) -> str:
     """The line for a file that is no TOML, with the place where the parser names one."""
     text = one_line_of(error)
-    if place := _TOML_PLACE.search(text):
-        return (
-            f"{shown}:{place[1]}: not TOML: {text[: place.start()]}, column {place[2]}"
-        )
-    return f"{shown}: not a TOML file: {text}"
+    place = _TOML_PLACE.search(text)
+    if place is None:
+        return f"{shown}: not a TOML file: {text}"
+    # The line is part of the place, as editors read it.
+    line, column = place.groups()
+    return f"{shown}:{line}: not TOML: {text[: place.start()]}, column {column}"
 
 
 def load_tables(
@@ -106,12 +111,12 @@ def load_tables(
     """Check a launch file that a program made: its tables [nodes.NAME].
     Raises SparseskinError with the first error that was found.
     """
-    text = "".join(
-        f"[nodes.{node}]\n"
-        + "".join(f"{key} = {json.dumps(value)}\n" for key, value in t.items())
-        for node, t in tables.items()
-    )
+    lines = []
+    for node, table in tables.items():
+        lines.append(f"[nodes.{node}]\n")
+        lines += [f"{key} = {json.dumps(value)}\n" for key, value in table.items()]
+    checker = Checker(name, "".join(lines), {"nodes": tables}, name)
     try:
-        return Checker(name, text, {"nodes": tables}, name).check(overrides, None)
+        return checker.check(overrides, None)
     except LaunchError as error:
         raise SparseskinError(error.lines[0]) from error

@@ -21,11 +21,10 @@ class Composition(Settings):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if not self.process:
-            return
-        reason = bad_name(self.process)
-        if reason:
-            raise SettingsError(f"process: {reason}")
+        if self.process:
+            reason = bad_name(self.process)
+            if reason:
+                raise SettingsError(f"process: {reason}")
 
 
 def by_process(specs: Iterable[NodeSpec]) -> list[list[NodeSpec]]:

@@ -55,13 +55,11 @@ class NodeSpec:
         """The same node with what was changed while it ran."""
         live = self.settings.live_values()
         changed = {key: v for key, v in values.items() if v != live[key]}
-        return replace(
-            self,
-            values={
-                key: v for key, v in (self.values | changed).items() if v is not None
-            },
-            settings=replace(self.settings, **changed),
-        )
+        # TOML has no null: what is not stated is left out.
+        stated = self.values | changed
+        stated = {key: v for key, v in stated.items() if v is not None}
+        settings = replace(self.settings, **changed)
+        return replace(self, values=stated, settings=settings)
 
     def again(self, n_restarts: int) -> Self:
         """The same node as it is started again after its n-th failure."""
@@ -101,28 +99,21 @@ class LaunchFile:
         Raises LaunchError if the host is missing, unknown or one too many, its keys cannot be used,
         or a node may not be scheduled there as stated.
         """
-        names = ", ".join(self.hosts)
-        if self.hosts and host is None:
-            raise LaunchError(
-                [f"{self.name}: several hosts: choose one with --host ({names})"]
-            )
-        if host is not None and not self.hosts:
-            raise LaunchError(
-                [f"--host {host}: {self.name} has no tables [hosts.NAME]"]
-            )
-        if host is not None and host not in self.hosts:
-            hint = did_you_mean(host, self.hosts)
-            raise LaunchError([f"--host {host}: {self.name} has no such host{hint}"])
+        problem = self._host_problem(host)
+        if problem:
+            raise LaunchError([problem])
         host_name = host or ""
         credentials = self._credentials(host_name)
-        # A recorder that was asked for on the command line is of this host, too.
-        nodes = {
-            n: spec for n, spec in self.nodes.items() if spec.host in ("", host_name)
-        }
-        links = [
-            link for link in self.links if link.reader in nodes or link.writer in nodes
-        ]
-        elsewhere = {n: spec for n, spec in self.nodes.items() if n not in nodes}
+        nodes: dict[str, NodeSpec] = {}
+        elsewhere: dict[str, NodeSpec] = {}
+        for name, spec in self.nodes.items():
+            # A recorder that was asked for on the command line is of this host, too.
+            is_here = spec.host in ("", host_name)
+            (nodes if is_here else elsewhere)[name] = spec
+        links = self.links
+        links = [link for link in links if link.reader in nodes or link.writer in nodes]
+
+        # One line for all nodes that state the same.
         refused: dict[str, list[str]] = {}
         for spec in nodes.values():
             try:
@@ -141,6 +132,20 @@ class LaunchFile:
             host=host_name,
             credentials=credentials,
         )
+
+    def _host_problem(self, host: str | None) -> str:
+        """Why a graph has no part of a host, None: none is stated; "" if it has one."""
+        if host is None:
+            if not self.hosts:
+                return ""
+            names = ", ".join(self.hosts)
+            return f"{self.name}: several hosts: choose one with --host ({names})"
+        if not self.hosts:
+            return f"--host {host}: {self.name} has no tables [hosts.NAME]"
+        if host not in self.hosts:
+            hint = did_you_mean(host, self.hosts)
+            return f"--host {host}: {self.name} has no such host{hint}"
+        return ""
 
     def _credentials(self, host_name: str) -> Credentials | None:
         """The keys of one host ("": the graph has but one), read from their files; or None."""

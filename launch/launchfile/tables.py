@@ -25,11 +25,9 @@ def read_table(
     keys too, which are refused otherwise.
     """
     settings = list(defaults)
-    index_of_key = {
-        field.name: index
-        for index, default in enumerate(defaults)
-        for field in fields(default)
-    }
+    index_of_key: dict[str, int] = {}
+    for index, default in enumerate(defaults):
+        index_of_key |= {field.name: index for field in fields(default)}
     of_other_keys: dict[str, Any] = {}
     if not isinstance(table, dict):
         fault(place, f"expected a table [{'.'.join(place)}]")
@@ -42,6 +40,7 @@ def read_table(
             continue
         index = index_of_key[key]
         try:
+            # One key at a time, so that each fault is reported with its place.
             settings[index] = replace(settings[index], **{key: value})
         except SettingsError as error:
             fault((*place, key), str(error).removeprefix(f"{key}: "))

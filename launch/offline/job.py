@@ -1,6 +1,7 @@
 """One recording to reprocess: the graph that does it, and the result."""
 
 import time
+from collections.abc import Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
@@ -116,16 +117,14 @@ def _run(job: Job, source: Path, out: Path, progress: bool) -> dict[str, Any]:
     with BagReader(source, whole=False) as bag:
         total = max((info.n_messages for info in bag.topics.values()), default=0)
         launch = make_graph(job, bag, out)
-    # Offline a frame is done when it was acquired.
     bus = Pipeline({n.name: (n.cls, n.settings) for n in launch.nodes.values()})
-    bar = tqdm(
-        total=total, disable=not progress, unit="frame", desc=Path(job.source).name
-    )
+    bar = tqdm(total=total, disable=not progress, unit="frame", desc=source.name)
     with bar, closing(bus):
         for _ in bus.frames():
             bar.update()
     bus.check()
     patches = bus.reports()["monitor"]["patches"]
+    # Offline a frame is done when it was acquired: its latency would mean nothing.
     return {name: patch | {"latency_ms": None} for name, patch in patches.items()}
 
 
@@ -136,34 +135,37 @@ def make_graph(job: Job, bag: BagReader, out: Path) -> LaunchFile:
     contradicts the settings.
     """
     topics = [split_topic(topic) for topic in bag.topics]
-    together = names_of(bag)
-    patches = sorted({patch for patch, _ in topics})
-    n_patches = sum(len(together.get(patch, (patch,))) for patch in patches)
-    if together or n_patches != 1:
-        batches = " in batches" if together else ""
-        raise SparseskinError(
-            f"holds {n_patches} patches{batches}; reprocess takes recordings of one"
-        )
+    patch = _only_patch({patch for patch, _ in topics}, names_of(bag))
     present = {schema for _, schema in topics}
-    patch = patches[0]
-    measured = job.start_from == "measurements" or (
-        job.start_from == "auto"
-        and Measurements.schema in present
-        and not job.changes("compressor")
-    )
-    if measured and job.changes("compressor"):
+    is_measured = job.start_from == "measurements"
+    if is_measured and job.changes("compressor"):
         raise SettingsError(
             "--from measurements: the compressor cannot be changed then"
         )
+    if job.start_from == "auto" and Measurements.schema in present:
+        is_measured = not job.changes("compressor")
+
     schemas = [SkinState.schema, Taxels.schema, Truth.schema]
-    schemas += [Calibration.schema] if Calibration.schema in present else []
-    schemas += [PhiState.schema, Measurements.schema] if measured else []
-    player = {"file": str(bag.path), "schemas": schemas, "keep_stamps": True}
-    tables: dict[str, dict[str, Any]] = {"player": {"type": "player", **player}}
-    for name in ("reconstructor",) if measured else ("compressor", "reconstructor"):
+    stations = ["reconstructor"]
+    if Calibration.schema in present:
+        schemas.append(Calibration.schema)
+    if is_measured:
+        schemas += [PhiState.schema, Measurements.schema]
+    else:
+        stations.insert(0, "compressor")
+    tables: dict[str, dict[str, Any]] = {
+        "player": {
+            "type": "player",
+            "file": str(bag.path),
+            "schemas": schemas,
+            "keep_stamps": True,
+        }
+    }
+    for name in stations:
         tables[name] = {"type": name, "patch": patch}
     states = last_messages(bag, [topic_of(patch, SolverState.schema)])
     recorded = next(iter(states.values()), None)
+    # Unchanged settings are to give the recorded results again.
     if isinstance(recorded, SolverState) and not job.changes("reconstructor"):
         tables["reconstructor"] |= iterations_of(recorded)
     tables["monitor"] = {"type": "monitor", "patches": [patch]}
@@ -175,6 +177,17 @@ def make_graph(job: Job, bag: BagReader, out: Path) -> LaunchFile:
     return load_tables(f"reprocess {Path(job.source).name}", tables, job.overrides)
 
 
+def _only_patch(patches: set[str], batches: Mapping[str, Sequence[str]]) -> str:
+    n_patches = sum(len(batches.get(patch, (patch,))) for patch in patches)
+    if batches or n_patches != 1:
+        in_batches = " in batches" if batches else ""
+        raise SparseskinError(
+            f"holds {n_patches} patches{in_batches}; reprocess takes recordings of one"
+        )
+    (patch,) = patches
+    return patch
+
+
 def iterations_of(recorded: SolverState) -> dict[str, Any]:
     """Settings of the reconstructor that give each frame the iterations that it had, where their
     number followed from the speed of the host that recorded it.
@@ -182,4 +195,6 @@ def iterations_of(recorded: SolverState) -> dict[str, Any]:
     if recorded.frame_tiles:
         times = {"frame_tiles": recorded.frame_tiles, "step_tiles": recorded.step_tiles}
         return {"iterations": recorded.max_iterations, "options": times}
-    return {"iterations": recorded.iterations} if recorded.frame_ms else {}
+    if recorded.frame_ms:
+        return {"iterations": recorded.iterations}
+    return {}

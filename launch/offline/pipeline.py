@@ -7,6 +7,7 @@ from __future__ import annotations
 import queue
 import threading
 from collections.abc import Callable, Iterator
+from functools import partial
 from typing import TypeVar
 
 from sparseskin.messages import Message
@@ -67,9 +68,10 @@ class Pipeline(Bus):
     def __init__(self, nodes: NodeSpecs) -> None:
         self._clock = ManualClock()
         self._clock_behind = ManualClock()
-        self._listeners = {
-            name for name, (cls, s) in nodes.items() if not cls.outputs(s)
-        }
+        self._listeners = set()
+        for name, (cls, settings) in nodes.items():
+            if not cls.outputs(settings):
+                self._listeners.add(name)
         self._behind: list[Delivery] = []
         self._stopped = threading.Event()
         self._acquired: Handover[list[Message]] = Handover(self._stopped)
@@ -81,16 +83,16 @@ class Pipeline(Bus):
     def frames(self, n_frames: int | None = None) -> Iterator[list[Message]]:
         """As of `Bus`, all frames of the source; at the end every node has processed them."""
         (source,) = (host for host in self.hosts.values() if host.is_source)
-        self._threads = [
-            threading.Thread(target=self._guard, args=(work,), daemon=True)
-            for work in (lambda: self._acquire(source), self._follow)
-        ]
-        for thread in self._threads:
+        for work in (partial(self._acquire, source), self._follow):
+            thread = threading.Thread(target=self._guard, args=(work,), daemon=True)
+            self._threads.append(thread)
             thread.start()
 
         for messages in self._acquired.items():
             delivered = self._deliver(messages)
-            self._hand_over()
+            # What listeners process later is processed at the time of now.
+            self._delivered.give((self._clock.now_ns(), self._behind))
+            self._behind = []
             _advance(self._clock, _newest_ns(delivered))
             yield delivered
         self._delivered.give(None)
@@ -114,17 +116,13 @@ class Pipeline(Bus):
         else:
             self._behind.append((reader, message))
 
-    def _hand_over(self) -> None:
-        """Give the listeners what was delivered to them since the last time."""
-        self._delivered.give((self._clock.now_ns(), self._behind))
-        self._behind = []
-
     def _acquire(self, source: NodeHost) -> None:
         """Let the source acquire its frames, and end its stream."""
         stamp_ns = -1
         newest_ns = 0
         index = 0
         while not source.finished and not self._stopped.is_set():
+            # Stamps increase, also where a frame brings no message.
             stamp_ns = max(newest_ns, stamp_ns + 1)
             messages = list(source.tick(Tick(stamp_ns, index)))
             newest_ns = max(newest_ns, _newest_ns(messages))
@@ -137,6 +135,7 @@ class Pipeline(Bus):
         for now_ns, deliveries in self._delivered.items():
             _advance(self._clock_behind, now_ns)
             for reader, message in deliveries:
+                # It publishes nothing, but is a generator.
                 for _ in super()._hand(reader, message):
                     pass
 

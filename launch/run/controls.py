@@ -81,12 +81,14 @@ class Requests:
         except RefusedError as error:
             say(False, str(error))
             return
+        # Numbers of clients may be equal; towards the node each request has a key of its own.
         key = secrets.token_hex(8)
         self._open[key] = node, say, awake_s() + PATIENCE_S
         self._nodes[node].command(command, id=key, value=value)
 
     def answered(self, event: Mapping[str, Any]) -> None:
         """Return the answer of a node."""
+        # A node may answer after its request has been answered in its place.
         if event["id"] in self._open:
             _, say, _ = self._open.pop(event["id"])
             say(event["done"], event["text"])
@@ -142,17 +144,15 @@ class ControlServer:
         self._take = take
         self._describe = describe
         self._clients: list[Connection] = []
-        if is_served(
-            Path(path)
-        ):  # a process of another container can have the same number
+        # A process of another container can have the same number.
+        if is_served(Path(path)):
             raise GraphError(
                 f"{path}: a graph listens there; SPARSESKIN_RUNTIME_DIR names another"
             )
         self._socket = socket.socket(socket.AF_UNIX)
         try:
-            Path(path).unlink(
-                missing_ok=True
-            )  # left by a process that had the same number
+            # Left by a process that had the same number.
+            Path(path).unlink(missing_ok=True)
             self._socket.bind(path)
             os.chmod(path, 0o600)
         except OSError as error:
@@ -168,17 +168,17 @@ class ControlServer:
 
     def flush(self) -> None:
         """Send what is queued; drop the clients that do not read."""
-        for client in [client for client in self._clients if not client.flush()]:
-            self._drop(client)
+        for client in list(self._clients):
+            if not client.flush():
+                self._drop(client)
 
     def publish(self, fields: dict[str, Any]) -> None:
         """Send one object, which a newer one will replace, to all clients that watch and have read
         what was sent before.
         """
-        for client in [
-            watcher for watcher in self._clients if watcher.watches and watcher.idle
-        ]:
-            self._send(client, fields)
+        for client in list(self._clients):
+            if client.watches and client.idle:
+                self._send(client, fields)
 
     def close(self) -> None:
         for client in list(self._clients):
@@ -187,7 +187,8 @@ class ControlServer:
         Path(self._path).unlink(missing_ok=True)
 
     def _accept(self) -> None:
-        with contextlib.suppress(OSError):  # it has left, or no descriptor is free
+        # It may have left, or no descriptor is free.
+        with contextlib.suppress(OSError):
             connection, _ = self._socket.accept()
             if len(self._clients) >= MAX_CLIENTS:
                 connection.close()
@@ -213,12 +214,14 @@ class ControlServer:
             elif "describe" in request:
                 self._send(client, {"description": self._describe(request["describe"])})
             elif request.get("stop") is True:
+                # The handler of the launcher counts it as an interrupt.
                 self._send(client, {"stopping": True})
                 signal.raise_signal(signal.SIGINT)
             else:
-                self._take(
-                    request, lambda answer: self._send(client, {"answer": answer})
-                )
+                self._take(request, partial(self._answer, client))
+
+    def _answer(self, client: Connection, answer: Mapping[str, Any]) -> None:
+        self._send(client, {"answer": answer})
 
     def _send(self, client: Connection, fields: Mapping[str, Any]) -> None:
         if client in self._clients and not client.send(fields):
@@ -252,14 +255,15 @@ class LiveRecording:
             )
         if self._say is not None:
             raise RefusedError("record: the last request is still being done")
-        if value == (self.out is not None):
-            raise RefusedError(
-                f"record: {'already on: ' + self.out if self.out else 'not on'}"
-            )
+        if value and self.out is not None:
+            raise RefusedError(f"record: already on: {self.out}")
+        if not value and self.out is None:
+            raise RefusedError("record: not on")
         if value:
             self._begin()
         else:
             self._fleet.nodes[self._node].command("stop")
+        # Answered once the recorder has started, or has closed its file.
         self._say = say
 
     def hear(self, node: NodeProcess, event: str) -> None:
@@ -271,21 +275,17 @@ class LiveRecording:
             self._done(True, f"recording to {out}")
         elif event in ("failed", "error", "died"):
             self.out = None
-            self._done(
-                False, f"{out}: {node.refusal or 'cannot be recorded; see the log'}"
-            )
+            reason = node.refusal or "cannot be recorded; see the log"
+            self._done(False, f"{out}: {reason}")
         elif event == "ended":
             self.out = None
             recording = node.report.get("recording", {})
             fault = recording.get("error")
-            n = recording.get("n_messages", 0)
-            came = (
-                f"{n} messages recorded"
-                if n
-                else "no message came, so there is no file"
-            )
-            text = fault or f"{out}: {came}"
-            self._done(not fault, text)
+            n_messages = recording.get("n_messages", 0)
+            text = f"{out}: no message came, so there is no file"
+            if n_messages:
+                text = f"{out}: {n_messages} messages recorded"
+            self._done(not fault, fault or text)
 
     def _begin(self) -> None:
         self._n += 1
@@ -307,7 +307,9 @@ class LiveRecording:
             raise RefusedError(f"record: {error}") from error
 
     def _done(self, done: bool, text: str) -> None:
-        say, self._say = self._say, None
+        # Free for the next request before the answer is given.
+        say = self._say
+        self._say = None
         if say is not None:
             say(done, text)
 

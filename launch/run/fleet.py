@@ -71,25 +71,29 @@ class Fleet:
             name: Restarts(spec.restart) for name, spec in launch.nodes.items()
         }
         self.nodes: dict[str, NodeProcess] = {}
-        self.exit_code = self.late_code = 0
+        self.exit_code = 0
+        self.late_code = 0
         self.left: dict[str, list[str]] = {}
         self.supervised = False
         self.hear: Hear = lambda node, event: None
+
         keys = launch.credentials
         if joined is not None and joined.key_file:
+            # Nobody reads nodes that join a graph: no peer needs to be allowed.
             pair = read_key_pair(Path(joined.key_file))
             keys = Credentials(pair, joined.key_file, {}, {}, {})
         self._keys = keys
         self._public = keys.key_pair.public if keys else ""
+
+        # Writers that are not processes of this launcher.
+        self._peers: dict[str, Peer] = {}
         servers = keys.servers if keys else {}
-        self._peers = {
-            name: Peer(
-                name, spec.public, spec.host, servers.get(spec.host, self._public)
-            )
-            for name, spec in launch.elsewhere.items()
-        }
-        for name, node in joined.nodes.items() if joined else ():
-            self._peers[name] = Peer(name, node.endpoint, key=node.key)
+        for name, spec in launch.elsewhere.items():
+            key = servers.get(spec.host, self._public)
+            self._peers[name] = Peer(name, spec.public, spec.host, key)
+        if joined is not None:
+            for name, node in joined.nodes.items():
+                self._peers[name] = Peer(name, node.endpoint, key=node.key)
 
     def __iter__(self) -> Iterator[NodeProcess]:
         return iter(list(self.nodes.values()))
@@ -108,24 +112,31 @@ class Fleet:
 
     def note(self) -> RunningGraph:
         """The note by which others find this graph and its topics, once all nodes are bound."""
-        nodes = {
-            node.name: RunningNode(
-                *(node.spec.type_name, node.endpoint, node.outputs, self._public)
+        nodes = {}
+        for node in self:
+            nodes[node.name] = RunningNode(
+                node.spec.type_name, node.endpoint, node.outputs, self._public
             )
-            for node in self
-        }
-        key_file = self._keys.file if self._keys else ""
-        about = self._launch.name, os.getpid(), self._offset_ns, self._launch.text
-        return RunningGraph(*about, nodes, key_file, self._page_token)
+        return RunningGraph(
+            self._launch.name,
+            os.getpid(),
+            self._offset_ns,
+            self._launch.text,
+            nodes,
+            key_file=self._keys.file if self._keys else "",
+            page_token=self._page_token,
+        )
 
     def connect(self, node: NodeProcess, distant: bool = False) -> None:
         """Send a node the endpoints of its writers on this host, or of those on other hosts."""
         writers = {link.writer for link in self._links if link.reader == node.name}
-        names = sorted(
-            name for name in writers if (name in self._launch.elsewhere) == distant
-        )
-        if names or not distant:
-            node.command("connect", peers=[asdict(self._peers[name]) for name in names])
+        peers = []
+        for name in sorted(writers):
+            if (name in self._launch.elsewhere) == distant:
+                peers.append(asdict(self._peers[name]))
+        # A node waits for those of this host, though there may be none.
+        if peers or not distant:
+            node.command("connect", peers=peers)
 
     def command_all(self, command: str) -> None:
         for node in self:
@@ -133,8 +144,9 @@ class Fleet:
 
     def condition(self, node: NodeProcess) -> str:
         """Condition of a node, in a word or two."""
-        due = self.restarts[node.name].due_s is not None
-        return "restarting" if due else node.condition
+        if self.restarts[node.name].due_s is not None:
+            return "restarting"
+        return node.condition
 
     def watch(self, fd: Any, on_ready: Callable[[], None]) -> None:
         """Wait for another file descriptor than a pipe, too."""
@@ -148,8 +160,9 @@ class Fleet:
         self._listen_to_all()
         now_s = awake_s()
         for node in self:
+            # Started again meanwhile, with another node of its process.
             if self.nodes[node.name] is not node:
-                continue  # started again meanwhile, with another node of its process
+                continue
             self._check(node, now_s)
             due_s = self.restarts[node.name].due_s
             if due_s is not None and due_s <= now_s:
@@ -160,11 +173,13 @@ class Fleet:
         self.supervised = False
         self.command_all("stop")
         for node in self:
-            if not node.endpoint:  # still starting: it does not listen yet
+            # One that is still starting does not listen yet.
+            if not node.endpoint:
                 node.send_signal(signal.SIGTERM)
         for number in (signal.SIGTERM, signal.SIGKILL):
-            deadline = awake_s() + GRACE_S
-            while self._alive() and awake_s() < deadline:
+            deadline_s = awake_s() + GRACE_S
+            # A node whose pipes are full could not end.
+            while self._alive() and awake_s() < deadline_s:
                 self._listen_to_all()
             for node in self._alive():
                 self._log(f"[launch] {node.name} does not end: {number.name}")
@@ -173,13 +188,14 @@ class Fleet:
             self._close(node)
 
     def _listen_to_all(self) -> None:
-        for data in {
-            id(key.data): key.data for key, _ in self._selector.select(POLL_S)
-        }.values():
-            if isinstance(data, NodeProcess):
-                self._listen(data)
+        # A node has two pipes; both are read at once.
+        ready = self._selector.select(POLL_S)
+        targets = {id(key.data): key.data for key, _ in ready}
+        for target in targets.values():
+            if isinstance(target, NodeProcess):
+                self._listen(target)
             else:
-                data()
+                target()
 
     def _start_process(self, specs: Sequence[NodeSpec], late: bool) -> None:
         """Start a process of nodes; those that were bound before are bound there again."""
@@ -191,57 +207,65 @@ class Fleet:
 
     def _config(self, spec: NodeSpec, late: bool) -> dict[str, Any]:
         """Configuration of a node, as of `Runner`."""
-        launch = self._launch
-        keys = self._keys
-        links = self._links
-        elsewhere = launch.elsewhere
+        # The number of a node stays the same when it is started again.
         number = list(self.restarts).index(spec.name)
-        pid = self._joined.pid if self._joined else os.getpid()
-        endpoint = self._bound.get(spec.name, "")
-        if not endpoint:
-            endpoint = (
-                f"ipc://{socket_path(number)}"
-                if launch.transport == "ipc"
-                else ANY_PORT
-            )
-        inputs = {link.topic: link.writer for link in links if link.reader == spec.name}
-        readers = sorted({link.reader for link in links if link.writer == spec.name})
+        control = ""
+        if spec.cls.watches:
+            control = control_path(self._joined.pid if self._joined else os.getpid())
         return {
             "name": spec.name,
             "type": spec.type_name,
             "settings": spec.values,
-            "folder": launch.folder,
+            "folder": self._launch.folder,
             **asdict(spec.scheduling),
-            "endpoint": endpoint,
-            "inputs": list(inputs),
-            "readers": readers,
+            "endpoint": self._endpoint(spec, number),
+            **self._links_of(spec.name),
             "offset_ns": self._offset_ns,
             "max_frames": self._max_frames,
             "late": late,
-            "control": control_path(pid) if spec.cls.watches else "",
+            "control": control,
             "page_token": self._page_token,
             "page_file": page_path(number),
             "public": spec.public,
-            "distant_readers": [
-                name
-                for name in readers
-                if name in elsewhere and not elsewhere[name].cls.observes
-            ],
-            "distant_inputs": {
-                topic: elsewhere[writer].host
-                for topic, writer in inputs.items()
-                if writer in elsewhere
-            },
-            "security": keys and asdict(keys),
+            "security": self._keys and asdict(self._keys),
+        }
+
+    def _endpoint(self, spec: NodeSpec, number: int) -> str:
+        """Where a node publishes: where it did before, so that its readers stay connected."""
+        if spec.name in self._bound:
+            return self._bound[spec.name]
+        if self._launch.transport == "ipc":
+            return f"ipc://{socket_path(number)}"
+        return ANY_PORT
+
+    def _links_of(self, name: str) -> dict[str, Any]:
+        """Topics that a node reads, its readers, and which of both are on other hosts."""
+        elsewhere = self._launch.elsewhere
+        inputs = {
+            link.topic: link.writer for link in self._links if link.reader == name
+        }
+        readers = sorted({link.reader for link in self._links if link.writer == name})
+        distant_inputs = {}
+        for topic, writer in inputs.items():
+            if writer in elsewhere:
+                distant_inputs[topic] = elsewhere[writer].host
+        # The start of a graph does not wait for observers.
+        distant_readers = [
+            reader
+            for reader in readers
+            if reader in elsewhere and not elsewhere[reader].cls.observes
+        ]
+        return {
+            "inputs": list(inputs),
+            "readers": readers,
+            "distant_readers": distant_readers,
+            "distant_inputs": distant_inputs,
         }
 
     def _companions(self, node: NodeProcess) -> list[NodeProcess]:
         """The nodes of the process of a node, itself included, whose streams have not ended."""
-        return [
-            sharing
-            for sharing in self
-            if sharing.process is node.process and not sharing.ended
-        ]
+        process = node.process
+        return [each for each in self if each.process is process and not each.ended]
 
     def _start_again(self, dead: NodeProcess) -> None:
         """Start the nodes of a process that died, at their endpoints, and paused as they were."""
@@ -250,13 +274,11 @@ class Fleet:
         specs = []
         for node in nodes:
             self._close(node)
-            restarts = self.restarts[node.name]
-            self._log(
-                f"[launch] {node.name} is started again (restart {restarts.total})"
-            )
+            n_restarts = self.restarts[node.name].total
+            self._log(f"[launch] {node.name} is started again (restart {n_restarts})")
             if node.state.get("paused"):
                 self._to_pause.add(node.name)
-            specs.append(node.spec.with_live(node.settings).again(restarts.total))
+            specs.append(node.spec.with_live(node.settings).again(n_restarts))
         # Not before: what they have reported last is no further failure.
         for node in nodes:
             self.restarts[node.name].due_s = None
@@ -270,58 +292,65 @@ class Fleet:
 
     def _close(self, node: NodeProcess) -> None:
         """Read what is left of a node, and close its pipes."""
-        for _ in range(5):  # more than a socket holds, then the end
+        # More parts than a socket holds, then the end.
+        for _ in range(5):
             self._listen(node)
-        for pipe in node.pipes:  # a child of the node's may still hold the other end
-            if not node.closed and pipe in self._selector.get_map():
-                self._selector.unregister(pipe)
+        # A child of the node's may still hold the other end: no pipe need have ended.
+        if not node.closed:
+            self._unregister(node.pipes)
         node.close()
+
+    def _unregister(self, pipes: Iterable[Any]) -> None:
+        for pipe in pipes:
+            if pipe in self._selector.get_map():
+                self._selector.unregister(pipe)
 
     def _alive(self) -> list[NodeProcess]:
         return [node for node in self if node.exit_code() is None]
 
     def _check(self, node: NodeProcess, now_s: float) -> None:
         """Check whether a node has died or hangs."""
+        restarts = self.restarts[node.name]
         code = node.exit_code()
         if code is None:
-            hang_s = node.spec.restart.hang_s
-            if hang_s and not node.ready:
-                hang_s = max(
-                    hang_s, START_S
-                )  # to import and to open a device takes its time
-            hung = bool(hang_s) and now_s - node.heard_s > hang_s
-            if (
-                self.supervised
-                and hung
-                and not node.ended
-                and node.spec.restart.restarts
-            ):
-                nodes = self._companions(node)
-                have = "has" if len(nodes) == 1 else "have"
-                self._log(
-                    f"[launch] {_names(nodes)} {have} been silent for {hang_s:g} s: SIGKILL"
-                )
-                node.send_signal(signal.SIGKILL)
-                for companion in nodes:
-                    companion.heard_s = now_s
+            self._check_hang(node, now_s)
         elif node.ended:
             if not node.closed:
                 self._close(node)
-        elif self.restarts[node.name].due_s is None:
+        elif restarts.due_s is None:
+            # Its pipes may hold the end of its stream, or the reason of its failure.
             self._listen(node)
-            if not node.ended and self.restarts[node.name].due_s is None:
+            if not node.ended and restarts.due_s is None:
                 names = _names(self._companions(node))
-                self._died(
-                    node, EXIT_FAILED, f"{names} ended too early: {exit_text(code)}"
-                )
+                text = f"{names} ended too early: {exit_text(code)}"
+                self._died(node, EXIT_FAILED, text)
+
+    def _check_hang(self, node: NodeProcess, now_s: float) -> None:
+        """Kill the process of a node that has been silent for too long: it is restarted then."""
+        policy = node.spec.restart
+        if not self.supervised or node.ended or not policy.restarts:
+            return
+        hang_s = policy.hang_s
+        if hang_s and not node.ready:
+            # To import and to open a device takes its time.
+            hang_s = max(hang_s, START_S)
+        if not hang_s or now_s - node.heard_s <= hang_s:
+            return
+        nodes = self._companions(node)
+        have = "has" if len(nodes) == 1 else "have"
+        silence = f"been silent for {hang_s:g} s"
+        self._log(f"[launch] {_names(nodes)} {have} {silence}: SIGKILL")
+        node.send_signal(signal.SIGKILL)
+        # They die with it: their silence is no further hang.
+        for companion in nodes:
+            companion.heard_s = now_s
 
     def _listen(self, node: NodeProcess) -> None:
         if node.closed:
             return
         events, log = node.read()
-        for pipe in node.closed_pipes:
-            if pipe in self._selector.get_map():
-                self._selector.unregister(pipe)
+        # A pipe at its end would be ready for ever.
+        self._unregister(node.closed_pipes)
         for line in log:
             self._log(f"[{node.name}] {line}")
         for event in events:
@@ -332,15 +361,7 @@ class Fleet:
             self._record(f"[{node.name}] {line}")
         match event["event"]:
             case "bound":
-                node.endpoint = self._bound[node.name] = event["endpoint"]
-                node.outputs = [
-                    t for t in node.spec.outputs if t not in event["unused"]
-                ]
-                self._peers[node.name] = Peer(
-                    node.name, node.endpoint, key=self._public
-                )
-                if self.supervised:
-                    self.connect(node)
+                self._take_bound(node, event["endpoint"], event["unused"])
             case "compiled":
                 node.compiled = event["done"], event["of"]
             case "ready":
@@ -365,12 +386,14 @@ class Fleet:
                 node.counted = event["counts"]
                 node.report = event["report"]
                 node.clocks = event["clocks"]
-            case "failed":  # the node has logged the reason
+            case "failed":
+                # The node has logged the reason.
                 self._fail(node, EXIT_USAGE)
             case "error":
                 self._died(node, event["code"], f"[{node.name}] error: {event['text']}")
                 return
-            case "raised":  # the node has logged the error, and goes on
+            case "raised":
+                # The node has logged the error, and goes on.
                 self.late_code = self.late_code or EXIT_FAILED
             case "answer":
                 node.settings = event["settings"]
@@ -379,25 +402,38 @@ class Fleet:
                 self._log(f"[{node.name}] {event}")
         self.hear(node, event)
 
+    def _take_bound(self, node: NodeProcess, endpoint: str, unused: list[str]) -> None:
+        """A node publishes at an endpoint, all but the topics that its settings leave out."""
+        node.endpoint = endpoint
+        self._bound[node.name] = endpoint
+        node.outputs = [topic for topic in node.spec.outputs if topic not in unused]
+        self._peers[node.name] = Peer(node.name, endpoint, key=self._public)
+        # In a graph that runs, nobody waits until all nodes are bound.
+        if self.supervised:
+            self.connect(node)
+
     def _died(self, failed: NodeProcess, code: int, text: str) -> None:
         """A process has ended before its time: start its nodes again, or end the graph with them.
         `failed` is the node that is known to have failed.
         """
         nodes = self._companions(failed)
+        # It has ended, or another node of its process has reported it.
         if failed not in nodes or self.restarts[failed.name].due_s is not None:
-            return  # it has ended, or another node of its process has reported it
+            return
         for node in nodes:
             unfinished = node.spec.cls.left_behind(node.spec.settings)
             if unfinished:
                 self.left.setdefault(node.name, []).append(unfinished)
-        names = _names(nodes)
-        why = text.removeprefix(f"[{failed.name}] ").removeprefix(f"{names} ")
+
+        # In a report each failure stands beside the name of the node.
+        why = text.removeprefix(f"[{failed.name}] ").removeprefix(f"{_names(nodes)} ")
         line = f"[launch] {text}"
         if text.startswith("["):
+            line = text
             companions = [node for node in nodes if node is not failed]
-            line = text + (
-                f" (of the same process: {_names(companions)})" if companions else ""
-            )
+            if companions:
+                line += f" (of the same process: {_names(companions)})"
+
         if self.supervised and code != EXIT_USAGE:
             # The nodes of a process have one policy, and fail together.
             for node in nodes:

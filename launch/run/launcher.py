@@ -80,13 +80,13 @@ class Launcher:
         elif not is_running(self._joined):
             raise GraphError(f"{self._joined.label}: has just ended")
         TERMINATION.check()
-        old = {
-            number: signal.signal(number, self._on_signal)
-            for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
-        }
+        handlers = {}
+        for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+            handlers[number] = signal.signal(number, self._on_signal)
         try:
             self._run()
         finally:
+            # First the note: nobody is to join a graph that ends.
             with contextlib.suppress(OSError, SparseskinError):
                 remove_note(self._starting)
             self._fleet.end_all()
@@ -94,42 +94,51 @@ class Launcher:
                 self._controls.close()
             with contextlib.suppress(OSError, SparseskinError):
                 remove_files(os.getpid())
-            for number, handler in old.items():
+            for number, handler in handlers.items():
                 signal.signal(number, handler)
             self._terminal.status("")
+
         for node in self._fleet:
-            if n_errors := node.counts.get("errors", 0):
-                self._terminal.log(
-                    f"[launch] {node.name} raised {n_errors} errors (see its log)"
-                )
+            n_errors = node.counts.get("errors", 0)
+            if n_errors:
+                text = f"{node.name} raised {n_errors} errors (see its log)"
+                self._terminal.log(f"[launch] {text}")
         return self._exit_code or self._fleet.late_code
 
     def _run(self) -> None:
         if self._joined is None:
             write_note(self._starting)
-        if self._launch.insecure and self._launch.hosts and not self._launch.security:
-            self._terminal.log(
-                "[launch] warning: insecure = true and no keys: whoever reaches this network "
-                "can read all topics and pretend to be any node"
-            )
-        elif self._launch.transport == "tcp" and not self._launch.security:
-            self._terminal.log(
-                "[launch] warning: tcp and no keys: any user of this host can read all topics, "
-                "hold up this graph, and pretend to be a node that is started again; keys or ipc "
-                "prevent it"
-            )
+        self._warn_of_exposure()
         self._fleet.spawn()
         if not self._handshake():
             return
         if self._joined is None:
             write_note(self._fleet.note())
         with self._terminal.keyboard(bool(self._keys)):
+            # A node that has joined a graph ends with it.
             self._fleet.supervised = self._joined is None
             self._fleet.command_all("start")
             self._until(self._all_ended, None)
             self._fleet.supervised = False
             if not self._all_ended():
                 self._drain()
+
+    def _warn_of_exposure(self) -> None:
+        """Log who else can read and write the topics of a graph without keys."""
+        launch = self._launch
+        if launch.security:
+            return
+        if launch.insecure and launch.hosts:
+            self._terminal.log(
+                "[launch] warning: insecure = true and no keys: whoever reaches this network "
+                "can read all topics and pretend to be any node"
+            )
+        elif launch.transport == "tcp":
+            self._terminal.log(
+                "[launch] warning: tcp and no keys: any user of this host can read all topics, "
+                "hold up this graph, and pretend to be a node that is started again; keys or ipc "
+                "prevent it"
+            )
 
     def summary(self) -> dict[str, Any]:
         """Reports and counts of the nodes."""
@@ -141,24 +150,25 @@ class Launcher:
         if self._launch.host:
             merged["host"] = self._launch.host
             merged["hosts"] = hosts_state(self._launch, self._fleet)
-        restarts = {name: report.total for name, report in self._fleet.restarts.items()}
+        restarts = self._fleet.restarts
+        any_restarted = any(of_node.total for of_node in restarts.values())
         counts = [node.counts for node in self._fleet]
         for node in self._fleet:
             report = dict(node.report)
             unfinished = self._fleet.left.get(node.name)
             if unfinished:
                 report["lines"] = [*report.get("lines", ()), *unfinished]
-            if any(restarts.values()):
-                again = restarts[node.name] > 0
-                report |= node.spec.cls.totals(
-                    node.spec.settings, report, counts, again
-                )
+            # The report of a node is of its last run alone, and lacks what others lost.
+            if any_restarted:
+                spec = node.spec
+                again = restarts[node.name].total > 0
+                report |= spec.cls.totals(spec.settings, report, counts, again)
             merged["patches"].update(report.pop("patches", {}))
             merged["nodes"][node.name] = {
                 **report,
                 "type": node.spec.type_name,
-                "restarts": restarts[node.name],
-                "failures": list(self._fleet.restarts[node.name].failures),
+                "restarts": restarts[node.name].total,
+                "failures": list(restarts[node.name].failures),
                 **node.counts,
             }
         return merged
@@ -194,7 +204,8 @@ class Launcher:
     def _late_lines(self) -> list[str]:
         # The others wait for those that have not started.
         fleet = [n for n in self._fleet if not (n.endpoint or n.failed)] or self._fleet
-        return list(filter(None, (waits_for(node, self._launch) for node in fleet)))
+        lines = [waits_for(node, self._launch) for node in fleet]
+        return [line for line in lines if line]
 
     def _look_around(self) -> None:
         """Pass on keys, and end where the graph that was joined is gone."""
@@ -215,20 +226,16 @@ class Launcher:
 
     def _all_drained(self) -> bool:
         """True if all have ended but those that wait for a node that is dead."""
-        cut_off = {node.name for node in self._fleet if node.exit_code() is not None}
+        dead = {node.name for node in self._fleet if node.exit_code() is not None}
         # The sources of another host are not stopped from here.
-        cut_off |= {
-            ln.reader
-            for ln in self._launch.links
-            if ln.writer in self._launch.elsewhere
-        }
+        endless = self._launch.elsewhere.keys()
+        links = self._launch.links
+        cut_off = dead | {link.reader for link in links if link.writer in endless}
+        # Along the links: no path is longer than the number of nodes.
         for _ in self._fleet:
-            cut_off |= {
-                link.reader for link in self._launch.links if link.writer in cut_off
-            }
-        return all(
-            node.ended or node.failed or node.name in cut_off for node in self._fleet
-        )
+            cut_off |= {link.reader for link in links if link.writer in cut_off}
+        waited_for = [node for node in self._fleet if node.name not in cut_off]
+        return all(node.ended or node.failed for node in waited_for)
 
     def _until(
         self, done: Callable[[], bool], limit_s: float | None, draining: bool = False
@@ -256,7 +263,8 @@ class Launcher:
 
     def _drain(self) -> None:
         """Stop the sources, and let frames under way reach the end of the graph."""
-        if self._joined is not None:  # the sources are not ours
+        # The sources of a graph that was joined are not stopped from here.
+        if self._joined is not None:
             if self._gone and not self._until(self._all_ended, REST_S, draining=True):
                 self._terminal.log(
                     f"[launch] {self._joined.label} was gone before its streams had ended: "

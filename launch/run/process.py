@@ -44,14 +44,15 @@ class LogLines:
     def take(self, chunk: bytes, now_s: float, at_end: bool = False) -> list[str]:
         """The lines that a chunk completes; at the end of the pipe, also one without an end."""
         complete = []
+        # A new second, or the last chance to report what was cut.
         if at_end or now_s - self._since_s >= 1.0:
             if self._n_cut:
-                complete.append(
-                    f"{self._n_cut} lines were cut (more than {LOG_BYTES // 1000} kB a second)"
-                )
+                limit = f"more than {LOG_BYTES // 1000} kB a second"
+                complete.append(f"{self._n_cut} lines were cut ({limit})")
             self._since_s = now_s
             self._left = LOG_BYTES
             self._n_cut = 0
+
         *lines, self._rest = (self._rest + chunk).split(b"\n")
         if at_end or len(self._rest) > MAX_LINE_BYTES:
             lines.append(self._rest)
@@ -98,24 +99,21 @@ def start_process(
     Raises SparseskinError if the system starts no process more.
     """
     names = [spec.name for spec, _ in nodes]
+    # -P: a file of the user's that is named like a standard module must not shadow it.
+    # The names at the end are for whoever lists processes.
+    command = [sys.executable, "-P", "-m", "sparseskin.nodes.process.run_node", *names]
+    # Nodes share the processors: threads of one would hold up the others.
     environment = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", **os.environ}
     try:
         with ExitStack() as inherited:
             pipes = [NodePipes(spec) for spec, _ in nodes]
             for each in pipes:
                 inherited.callback(each.close_of_node)
+            # Channel and log of the first node are those of the process.
             (channel, log), *channels = (each.of_node for each in pipes)
             tallies = [each.tally.fd for each in pipes]
-            # -P: a file of the user's that is named like a standard module must not shadow it.
-            # The names at the end are for whoever lists processes.
             process = subprocess.Popen(
-                [
-                    sys.executable,
-                    "-P",
-                    "-m",
-                    "sparseskin.nodes.process.run_node",
-                    *names,
-                ],
+                command,
                 bufsize=0,
                 stdin=channel,
                 stdout=log,
@@ -125,17 +123,16 @@ def start_process(
                 pass_fds=[*tallies, *chain(*channels)],
             )
     except OSError as error:
-        raise SparseskinError(
-            f"{', '.join(names)}: cannot be started: {error.strerror}"
-        ) from error
+        problem = f"cannot be started: {error.strerror}"
+        raise SparseskinError(f"{', '.join(names)}: {problem}") from error
+
     started = []
     for (spec, config), each in zip(nodes, pipes, strict=True):
-        of_process: dict[str, Any] = {
-            "companions": [name for name in names if name != spec.name]
-        }
+        companions = [name for name in names if name != spec.name]
+        config = {**config, "companions": companions}
         if each is pipes[0]:
-            of_process["channels"] = channels
-        started.append(NodeProcess(spec, {**config, **of_process}, process, each))
+            config["channels"] = channels
+        started.append(NodeProcess(spec, config, process, each))
     return started
 
 
@@ -233,23 +230,24 @@ class NodeProcess:
     def read(self) -> tuple[list[dict[str, Any]], list[str]]:
         """Waiting (events, log lines): of each pipe a bounded part, for a flood has no end."""
         self._channel.flush()
-        events = self._channel.lines()
-        if events is None:
+        lines = self._channel.lines()
+        if lines is None:
             self.closed_pipes.add(self.pipes[0])
+
+        # Nothing read (None) is not the end of the pipe (b"").
         chunk = self._log.read(CHUNK_BYTES)
         if chunk == b"":
             self.closed_pipes.add(self._log)
-        log = self._lines.take(
-            chunk or b"", awake_s(), at_end=self._log in self.closed_pipes
-        )
+        at_end = self._log in self.closed_pipes
+        log = self._lines.take(chunk or b"", awake_s(), at_end)
         if log:
             self._said = log[-1]
             self._said_s = awake_s()
-        if events:
+
+        if lines:
             self.heard_s = awake_s()
-        return [
-            _event(line.decode(errors="replace")) for line in events or () if line
-        ], log
+        events = [_event(line.decode(errors="replace")) for line in lines or () if line]
+        return events, log
 
     def close(self) -> None:
         """Collect the process and close its pipes; what has not ended by now is killed."""
@@ -266,19 +264,20 @@ def _event(line: str) -> dict[str, Any]:
         event = json.loads(line)
     except json.JSONDecodeError:
         event = None
-    return (
-        event if isinstance(event, dict) else {"event": "garbage", "text": line[:200]}
-    )
+    # A library of a node may write to any descriptor.
+    if not isinstance(event, dict):
+        return {"event": "garbage", "text": line[:200]}
+    return event
 
 
 def _added(first: Any, second: Any) -> Any:
     """Sums of counters that have the same keys."""
     if not isinstance(first, dict):
         return first + second
-    shared = {
-        key: _added(first[key], second[key]) for key in first.keys() & second.keys()
-    }
-    return {**first, **second, **shared}
+    sums = {**first, **second}
+    for key in first.keys() & second.keys():
+        sums[key] = _added(first[key], second[key])
+    return sums
 
 
 def exit_text(code: int) -> str:
@@ -305,6 +304,7 @@ class AwakeClock:
 
     def __call__(self) -> float:
         now_s = self._now_s()
+        # A longer step means that this process stood still, not that others were silent.
         self._paused_s += max(0.0, now_s - self._read_s - MAX_STEP_S)
         self._read_s = now_s
         return now_s - self._paused_s

@@ -42,34 +42,26 @@ class RunLog:
         self.folder = parent / f"{name}-{date}-{os.getpid()}"
         self.error = ""
         self._files: dict[str, _NodeFile] = {}
+        flags = os.O_RDONLY | os.O_NOFOLLOW | os.O_DIRECTORY
         try:
             # Of this user alone: the address of the live page is logged with its token.
             self.folder.mkdir(mode=0o700, parents=True)
-            self._fd = os.open(
-                self.folder, os.O_RDONLY | os.O_NOFOLLOW | os.O_DIRECTORY
-            )
+            self._fd = os.open(self.folder, flags)
         except OSError as error:
             raise LaunchError([f"log_dir: {parent}: {error.strerror}"]) from error
         if os.fstat(self._fd).st_uid != os.geteuid():
-            raise LaunchError(
-                [f"log_dir: {parent}: another user changes what is in it"]
-            )
+            problem = "another user changes what is in it"
+            raise LaunchError([f"log_dir: {parent}: {problem}"])
         # Whoever may change `parent` can put a folder with links in the place of this one.
         self._opened = Path(f"/proc/self/fd/{self._fd}")
-        with contextlib.suppress(OSError):  # another launcher removes them
-            runs = (
-                sorted(parent.iterdir(), key=lambda run: run.lstat().st_mtime)
-                if n_kept
-                else []
-            )
-            n_surplus = max(0, len(runs) - n_kept)
-            for run in runs[:n_surplus]:
-                shutil.rmtree(run, ignore_errors=True)
+        if n_kept:
+            _remove_old_runs(parent, n_kept)
 
     def write(self, line: str, now_s: float) -> None:
         """Write one line "[NAME] TEXT" into the file of that node, with date and time."""
         prefix = _NAMED.fullmatch(line)
         name, text = prefix.groups() if prefix else (LAUNCHER, line)
+        # A run may go on over midnight: unlike the terminal, each line has its date.
         date = time.strftime("%Y-%m-%d", time.localtime(now_s))
         text = f"{date} {time_text(now_s)} {text}"
         try:
@@ -89,9 +81,19 @@ class RunLog:
     def close(self) -> None:
         """Close all files; nothing more can be written."""
         for file in self._files.values():
-            with contextlib.suppress(OSError):  # the disk is full
+            # The rest of a file cannot be written where the disk is full.
+            with contextlib.suppress(OSError):
                 file.close()
         self._files.clear()
         if self._fd >= 0:
             os.close(self._fd)
             self._fd = -1
+
+
+def _remove_old_runs(parent: Path, n_kept: int) -> None:
+    # Another launcher may remove the same folders.
+    with contextlib.suppress(OSError):
+        runs = sorted(parent.iterdir(), key=lambda run: run.lstat().st_mtime)
+        n_surplus = max(0, len(runs) - n_kept)
+        for run in runs[:n_surplus]:
+            shutil.rmtree(run, ignore_errors=True)

@@ -86,9 +86,11 @@ def runtime_folder() -> Path:
     """Folder of notes and sockets, which no other user may enter.
     Raises GraphError if it is not private, cannot be made, or its path is too long for a socket.
     """
-    import tempfile  # with it come compression and random numbers, which a key press waits for
+    # With it come compression and random numbers, which a key press waits for.
+    import tempfile
 
     stated = os.environ.get("SPARSESKIN_RUNTIME_DIR")
+    # The folder of the session may be another user's, as under sudo.
     runtime = Path(os.environ.get("XDG_RUNTIME_DIR") or "/nowhere")
     if stated:
         folder = Path(stated).absolute()
@@ -131,6 +133,7 @@ def write_note(graph: RunningGraph) -> None:
     folder = runtime_folder()
     part = folder / f"{graph.pid}{PART}"
     try:
+        # Renamed once it is whole: others read notes at any time.
         part.write_text(json.dumps(asdict(graph)))
         part.replace(folder / f"{graph.label}.json")
     except OSError as error:
@@ -155,22 +158,28 @@ def running_graphs(starting: bool = False) -> list[RunningGraph]:
                 graphs.append(graph)
             elif remove_files(graph.pid):
                 path.unlink()
-    # A node that was still starting as its launcher was killed makes files after the note is gone.
-    noted = {path.stem.rpartition("-")[2] for path in folder.glob("*.json")}
     with contextlib.suppress(OSError):
-        for number in {
-            path.name.partition(".")[0] for path in folder.iterdir()
-        } - noted:
-            if number.isdecimal() and not os.path.exists(f"/proc/{number}"):
-                remove_files(int(number))
+        _remove_strays(folder)
     return [graph for graph in graphs if starting or not graph.starting]
+
+
+def _remove_strays(folder: Path) -> None:
+    """Remove files of processes that are gone and have no note: a node that was still starting as
+    its launcher was killed makes files after the note is gone.
+    """
+    noted = {path.stem.rpartition("-")[2] for path in folder.glob("*.json")}
+    numbers = {path.name.partition(".")[0] for path in folder.iterdir()}
+    for number in numbers - noted:
+        if number.isdecimal() and not os.path.exists(f"/proc/{number}"):
+            remove_files(int(number))
 
 
 def is_running(graph: RunningGraph) -> bool:
     """True if the launcher of a graph listens at its control socket."""
     try:
         return is_served(Path(graph.control))
-    except OSError:  # no descriptor is free
+    except OSError:
+        # No descriptor is free: nothing is known, and nothing may be removed.
         return True
 
 
@@ -178,17 +187,22 @@ def remove_files(pid: int) -> bool:
     """Remove the sockets, the pages and the part of a note that a process has left; False if
     somebody listens to one of the sockets.
     """
+    # Nothing else is removed, whatever a user keeps in this folder.
     of_launcher = re.compile(rf"{pid}(\.\d+)?\.sock|{pid}(\.\d+\.html|{PART})")
     served = False
     for path in runtime_folder().glob(f"{pid}.*"):
-        with contextlib.suppress(FileNotFoundError):  # its process ends
+        # A process that ends removes its files, too.
+        with contextlib.suppress(FileNotFoundError):
             is_socket = path.suffix == ".sock"
             is_kind = stat.S_ISSOCK if is_socket else stat.S_ISREG
-            if of_launcher.fullmatch(path.name) and is_kind(path.lstat().st_mode):
-                if is_socket and is_served(path):
-                    served = True
-                else:
-                    path.unlink()
+            if not of_launcher.fullmatch(path.name):
+                continue
+            if not is_kind(path.lstat().st_mode):
+                continue
+            if is_socket and is_served(path):
+                served = True
+            else:
+                path.unlink()
     return not served
 
 
@@ -209,26 +223,22 @@ def choose_graph(name: str | None, option: str = "--graph") -> RunningGraph:
     that is starting is waited for, `PATIENCE_S` at most.
     Raises GraphError if there is none, or more than one.
     """
-    given_up_s = None
-    while True:
-        graphs = running_graphs(starting=True)
-        candidates = [g for g in graphs if name in (None, g.name, g.label, str(g.pid))]
-        matching = [graph for graph in candidates if not graph.starting]
-        if matching or not candidates:
-            break
-        label = candidates[0].label
-        now_s = time.monotonic()
-        if given_up_s is None:
-            given_up_s = now_s + PATIENCE_S
-            print(
-                f"{label}: is starting; waiting until it runs",
-                file=sys.stderr,
-                flush=True,
-            )
-        elif now_s >= given_up_s:
+    graphs = running_graphs(starting=True)
+    candidates = _named(graphs, name)
+    deadline_s = time.monotonic() + PATIENCE_S
+    # Only where no other graph can be meant is one that is starting waited for.
+    if candidates and all(graph.starting for graph in candidates):
+        waiting = f"{candidates[0].label}: is starting; waiting until it runs"
+        print(waiting, file=sys.stderr, flush=True)
+    while candidates and all(graph.starting for graph in candidates):
+        if time.monotonic() >= deadline_s:
             why = f"is still starting after {PATIENCE_S:g} s; its terminal shows what it waits for"
-            raise GraphError(f"{label}: {why}")
+            raise GraphError(f"{candidates[0].label}: {why}")
         time.sleep(POLL_S)
+        graphs = running_graphs(starting=True)
+        candidates = _named(graphs, name)
+
+    matching = [graph for graph in candidates if not graph.starting]
     labels = [graph.label for graph in graphs if not graph.starting]
     if not labels:
         raise GraphError(
@@ -242,3 +252,8 @@ def choose_graph(name: str | None, option: str = "--graph") -> RunningGraph:
         which = f" with {option}" if option else ""
         raise GraphError(f"several graphs run; choose one{which}: {choices}")
     return matching[0]
+
+
+def _named(graphs: list[RunningGraph], name: str | None) -> list[RunningGraph]:
+    """Those of some graphs that a name can mean; None: all."""
+    return [g for g in graphs if name in (None, g.name, g.label, str(g.pid))]

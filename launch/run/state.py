@@ -38,16 +38,20 @@ def graph_description(
         "pid": os.getpid(),
         "host": socket.gethostname(),
         "recording": recording,
-        "nodes": _nodes(fleet, lambda one: _in_full(one, one.name == node)),
+        "nodes": _nodes(fleet, lambda each: _in_full(each, each.name == node)),
     }
 
 
 def _nodes(
-    fleet: Fleet, more: Callable[[NodeProcess], dict[str, Any]]
+    fleet: Fleet, further: Callable[[NodeProcess], dict[str, Any]]
 ) -> list[dict[str, Any]]:
-    """Each node, without live recorders that have ended, and more of it."""
-    return [
-        {
+    """Each node, without live recorders that have ended, and the fields that `further` returns."""
+    nodes = []
+    for node in fleet:
+        # One may be started for each recording: the list would grow without end.
+        if node.ended and node.name.startswith(LIVE_RECORDER):
+            continue
+        fields = {
             "name": node.name,
             "type": node.spec.type_name,
             "condition": fleet.condition(node),
@@ -56,11 +60,9 @@ def _nodes(
             "refusal": node.refusal,
             "state": node.state,
             "commands": dict(node.spec.cls.commands),
-            **more(node),
         }
-        for node in fleet
-        if not (node.ended and node.name.startswith(LIVE_RECORDER))
-    ]
+        nodes.append(fields | further(node))
+    return nodes
 
 
 def _in_short(node: NodeProcess) -> dict[str, Any]:
@@ -82,34 +84,39 @@ def _in_short(node: NodeProcess) -> dict[str, Any]:
 def _in_full(node: NodeProcess, with_settings: bool) -> dict[str, Any]:
     counts = node.counts
 
-    def counted(topic: str, **keys: str) -> dict[str, Any]:
-        numbers = {
-            name: counts.get(key, {}).get(topic, 0) for name, key in keys.items()
-        }
-        return {"topic": topic, "latched": is_latched(topic), **numbers}
+    def counted(topic: str, counter_of: dict[str, str]) -> dict[str, Any]:
+        fields: dict[str, Any] = {"topic": topic, "latched": is_latched(topic)}
+        for name, counter in counter_of.items():
+            fields[name] = counts.get(counter, {}).get(topic, 0)
+        return fields
 
+    of_input = {counter: counter for counter in COUNTED}
+    of_output = {"sent": "published"}
     described: dict[str, Any] = {
         "pid": node.pid,
         "companions": node.config["companions"],
         "transport": node.endpoint.partition(":")[0],
         "refused": counts.get("refused", {}),
-        "inputs": [
-            counted(topic, **{counter: counter for counter in COUNTED})
-            for topic in node.config["inputs"]
-        ],
-        "outputs": [counted(topic, sent="published") for topic in node.outputs],
+        "inputs": [counted(topic, of_input) for topic in node.config["inputs"]],
+        "outputs": [counted(topic, of_output) for topic in node.outputs],
     }
     if with_settings:
-        stated = {**vars(node.spec.settings), **node.settings}
-        in_force = {
-            **stated,
-            **{k: v for k, v in node.state.items() if stated.get(k) is None},
-        }
-        described["settings"] = [
-            {**entry, "value": stated[entry["key"]], "in_force": in_force[entry["key"]]}
-            for entry in node.spec.cls.Settings.described()
-        ]
+        described["settings"] = _settings(node)
     return described
+
+
+def _settings(node: NodeProcess) -> list[dict[str, Any]]:
+    """Settings of a node as they are described, with their values, stated and in force."""
+    values = {**vars(node.spec.settings), **node.settings}
+    settings = []
+    for entry in node.spec.cls.Settings.described():
+        key = entry["key"]
+        in_force = values[key]
+        # A node publishes as state what it takes for a setting that is not stated.
+        if in_force is None:
+            in_force = node.state.get(key)
+        settings.append({**entry, "value": values[key], "in_force": in_force})
+    return settings
 
 
 def hosts_state(
@@ -120,24 +127,25 @@ def hosts_state(
     do not), clock_offset_ms and clock_uncertainty_ms (None while unknown; the clock there is ahead
     by the offset, within the uncertainty).
     """
-    states: dict[str, dict[str, Any]] = {
-        name: {
-            "heard": None,
-            "silent": [],
-            "clock_offset_ms": None,
-            "clock_uncertainty_ms": None,
-        }
-        for name in launch.hosts
-        if name != launch.host
-    }
+    states: dict[str, dict[str, Any]] = {}
     if not launch.host:
-        return {}
+        return states
+    for name in launch.hosts:
+        if name != launch.host:
+            states[name] = {
+                "heard": None,
+                "silent": [],
+                "clock_offset_ms": None,
+                "clock_uncertainty_ms": None,
+            }
+
     for node in nodes:
         for writer, heard in node.heard.items():
             state = states[launch.elsewhere[writer].host]
             if not heard and writer not in state["silent"]:
                 state["silent"].append(writer)
             state["heard"] = not state["silent"]
+        # Of several nodes that read from a host, the most certain one counts.
         for host, (offset_ns, uncertainty_ns) in node.clocks.items():
             uncertainty_ms = states[host]["clock_uncertainty_ms"]
             if uncertainty_ms is None or uncertainty_ns / 1e6 < uncertainty_ms:

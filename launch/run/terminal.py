@@ -51,12 +51,13 @@ class Terminal:
     def record(self, line: str) -> None:
         """Write one line into the log files alone."""
         now_s = self._now_s()
-        if self._run_log is not None and not self._run_log.error:
-            self._run_log.write(printable(line), now_s)
-            if self._run_log.error:
-                self._write(
-                    f"{time_text(now_s)} [launch] no more logs: {self._run_log.error}\n"
-                )
+        run_log = self._run_log
+        if run_log is None or run_log.error:
+            return
+        run_log.write(printable(line), now_s)
+        if run_log.error:
+            # Once: with the error set, no later line is written.
+            self._write(f"{time_text(now_s)} [launch] no more logs: {run_log.error}\n")
 
     def status(self, line: str) -> None:
         """Renew the status line, or lines, where the text has changed."""
@@ -77,6 +78,7 @@ class Terminal:
             return
         fd = sys.stdin.fileno()
         terminal_mode = termios.tcgetattr(fd)
+        # Unlike raw mode, this leaves Ctrl-C a signal and line ends as they are.
         tty.setcbreak(fd)
         self._keys_fd = fd
         try:
@@ -90,10 +92,8 @@ class Terminal:
         if self._keys_fd is None or not select.select([self._keys_fd], [], [], 0)[0]:
             return []
         text = os.read(self._keys_fd, 64).decode(errors="replace")
-        return [
-            ARROWS.get(key, key)
-            for key in re.findall(r"\x1b\[[A-D]|.", text, re.DOTALL)
-        ]
+        keys = re.findall(r"\x1b\[[A-D]|.", text, re.DOTALL)
+        return [ARROWS.get(key, key) for key in keys]
 
     def _erase(self) -> None:
         if self._live and self._status:
@@ -102,11 +102,10 @@ class Terminal:
 
     def _draw(self) -> None:
         if self._live and self._status:
+            # A line that wraps, or scrolls the screen, could not be erased by its number of lines.
             size = shutil.get_terminal_size()
-            lines = [
-                _fitted(line, size.columns - 1) for line in self._status.split("\n")
-            ]
-            lines = lines[: size.lines - 1]
+            status_lines = self._status.split("\n")[: size.lines - 1]
+            lines = [_fitted(line, size.columns - 1) for line in status_lines]
             self._n_drawn = len(lines)
             self._write("\n".join(lines))
 

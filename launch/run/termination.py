@@ -19,7 +19,8 @@ class _Termination:
 
     def handle(self, number: int, _frame: FrameType | None) -> None:
         """Handler of SIGTERM; the exception ends workers and removes unfinished files."""
-        signal.signal(number, signal.SIG_IGN)  # the command timeout sends it twice
+        # The command timeout sends it twice.
+        signal.signal(number, signal.SIG_IGN)
         self.has_come = True
         raise Terminated
 

@@ -21,18 +21,7 @@ def waits_for(node: NodeProcess, launch: LaunchFile) -> str:
     if node.ended or node.failed:
         return ""
     if node.ready:
-        settings = node.spec.settings
-        published = node.counts.get("published", {})
-        is_player = hasattr(settings, "lockstep")
-        n_readers = (settings.wait or int(settings.lockstep)) if is_player else 0
-        begun = any(n for topic, n in published.items() if not is_latched(topic))
-        if not n_readers or begun or node.state.get("paused", True):
-            return ""
-        readers = "a reader" if n_readers == 1 else f"{n_readers} readers"
-        return (
-            f"{node.name} waits for {readers}; from another terminal: "
-            f"sparseskin monitor --graph {launch.name}, or sparseskin record --graph {launch.name}"
-        )
+        return _waits_for_readers(node, launch)
     if not node.endpoint:
         return f"{node.name} has not started: it imports, compiles, or opens its device"
     if not node.lacks:
@@ -40,9 +29,29 @@ def waits_for(node: NodeProcess, launch: LaunchFile) -> str:
     hosts: dict[str, list[str]] = {}
     for reader in node.lacks:
         spec = launch.elsewhere.get(reader)
-        hosts.setdefault(f" on {spec.host}" if spec else "", []).append(reader)
-    readers = ", ".join(", ".join(names) + host for host, names in hosts.items())
+        place = f" on {spec.host}" if spec else ""
+        hosts.setdefault(place, []).append(reader)
+    readers = ", ".join(", ".join(names) + place for place, names in hosts.items())
     return f"{node.name} waits for a subscription from {readers}"
+
+
+def _waits_for_readers(node: NodeProcess, launch: LaunchFile) -> str:
+    """The line for a player that waits for readers of another graph; "" for any other node."""
+    settings = node.spec.settings
+    # Only a player has this setting.
+    if not hasattr(settings, "lockstep"):
+        return ""
+    n_readers = settings.wait or int(settings.lockstep)
+    published = node.counts.get("published", {})
+    # Latched topics are sent before it waits.
+    begun = any(n for topic, n in published.items() if not is_latched(topic))
+    if not n_readers or begun or node.state.get("paused", True):
+        return ""
+    readers = "a reader" if n_readers == 1 else f"{n_readers} readers"
+    return (
+        f"{node.name} waits for {readers}; from another terminal: "
+        f"sparseskin monitor --graph {launch.name}, or sparseskin record --graph {launch.name}"
+    )
 
 
 def late_at_end(nodes: Iterable[NodeProcess], links: Sequence[Link]) -> list[str]:
@@ -52,12 +61,11 @@ def late_at_end(nodes: Iterable[NodeProcess], links: Sequence[Link]) -> list[str
     late = [node.name for node in nodes if not node.ended]
     lines = []
     for name in late:
-        writers = sorted(
-            {ln.writer for ln in links if ln.reader == name and ln.writer in late}
-        )
-        why = (
-            f"waits for {', '.join(writers)}" if writers else "has not ended its stream"
-        )
+        writers = {link.writer for link in links if link.reader == name}
+        late_writers = sorted(writers.intersection(late))
+        why = "has not ended its stream"
+        if late_writers:
+            why = f"waits for {', '.join(late_writers)}"
         lines.append(f"{name} ({why})")
     return lines
 

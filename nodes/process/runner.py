@@ -58,6 +58,21 @@ class Runner:
         self._companions = bool(config.get("companions"))
         self.name: str = config["name"]
         self.clock = SystemClock(config["offset_ns"])
+        self.host = self._make_host(config)
+        self.streams = frozenset(topic.encode() for topic in self.host.streams)
+        self.host.raised = lambda error: control.emit("raised", trace=trace_of(error))
+        if tally := config.get("tally"):
+            self.host.published = Tally(*tally).set
+
+        self.expected = set(config["readers"])
+        self.max_frames: int | None = config.get("max_frames")
+        self.scheduling = Scheduling(
+            tuple(config.get("cpus", ())), config.get("priority", 0)
+        )
+        self._begin()
+
+    def _make_host(self, config: dict[str, Any]) -> NodeHost:
+        """Make the node, with a run id of its own."""
         if folder := config.get("folder"):
             search_in(folder)
         cls = node_class(config["type"])
@@ -68,34 +83,31 @@ class Runner:
             clock_of=lambda topic: self.network.clock_of(topic),
             page_token=config.get("page_token", ""),
             page_file=config.get("page_file", ""),
-            count=lambda done, of: control.emit("compiled", done=done, of=of),
+            count=lambda done, of: self.control.emit("compiled", done=done, of=of),
         )
-        node = cls(settings, context)
-        run_id = secrets.token_hex(8)
-        self.host = NodeHost(
-            node,
-            run_id,
+        return NodeHost(
+            cls(settings, context),
+            secrets.token_hex(8),
             self.log,
             config["inputs"],
             late,
             config.get("distant_inputs", ()),
         )
-        self.streams = frozenset(topic.encode() for topic in self.host.streams)
-        self.host.raised = lambda error: control.emit("raised", trace=trace_of(error))
-        if tally := config.get("tally"):
-            self.host.published = Tally(*tally).set
-        self.expected = set(config["readers"])
-        self.max_frames: int | None = config.get("max_frames")
-        self.scheduling = Scheduling(
-            tuple(config.get("cpus", ())), config.get("priority", 0)
-        )
+
+    def _begin(self) -> None:
+        """Set the state of a node that has neither sockets nor readers yet."""
         self.reader: Reader | None = None
         self.client: ControlClient | None = None
         self.client_lock = threading.Lock()  # a node may have threads of its own
-        self.connected = self.ready = self.started = self.begun = False
-        self.draining = self.stopping = self.end_reported = self.failed = (
-            self.terminated
-        ) = False
+        self.connected = False
+        self.ready = False
+        self.started = False
+        self.begun = False
+        self.draining = False
+        self.stopping = False
+        self.end_reported = False
+        self.failed = False
+        self.terminated = False
         self.asks: deque[int] = deque()
         self.unanswered: deque[tuple[int, bytes]] = deque()
         self.caught_up = True

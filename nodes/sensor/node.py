@@ -99,18 +99,25 @@ class Sensor(SourceNode[SensorSettings]):
         if self._source.is_live:
             self._source.clipped.mask = skin.mask
 
+        self._noise = self._chosen_noise()
+        self._rng = context.rng(settings.seed)
+        self._clock = self._source.clock if settings.clock == "source" else None
+        self._stamp_ns = -1
+        self._set_pace()
+
+        self._begin()
+        if not self._source.is_live:
+            self._prepare()
+
+    def _begin(self) -> None:
+        """Set what changes from frame to frame, as before the first one."""
+        settings = self.settings
         self._doubt: Doubt | None = None  # from the first frame on
         self._stated_rest = settings.tare is not None or settings.invert
         self._described_changes = bool(
             self._described and self._described.changes_readings
         )
         self._line = ""  # on rest and sign, as it was logged last
-
-        self._noise = self._chosen_noise()
-        self._rng = context.rng(settings.seed)
-        self._clock = self._source.clock if settings.clock == "source" else None
-        self._stamp_ns = -1
-        self._set_pace()
 
         self._next: _Frame | None = None
         # The first messages: those of later frames are like them.
@@ -120,9 +127,6 @@ class Sensor(SourceNode[SensorSettings]):
         self._n_stuck = 0
         self._n_logged = 0
         self._logged_ns = 0
-
-        if not self._source.is_live:
-            self._prepare()
 
     def _open_source(self) -> None:
         """Open the source and make what converts its readings; it is closed if that fails."""

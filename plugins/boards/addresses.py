@@ -30,11 +30,9 @@ class BoardAddress(Address):
         return BoardSource(self._board(), self.raw, self.layout)
 
     def _board(self) -> Board:
-        layout = self.layout
-        stated: dict[str, Any] = {"unit": layout.unit, "f_max": layout.f_max}
-        return describe_board(
-            self.source, n_rows=layout.n_rows, n_cols=layout.n_cols, **stated
-        )
+        keys = ("n_rows", "n_cols", "unit", "f_max")
+        stated: dict[str, Any] = {key: getattr(self.layout, key) for key in keys}
+        return describe_board(self.source, **stated)
 
     @classmethod
     def ports(cls) -> Iterable[str]:
@@ -47,14 +45,14 @@ class BoardAddress(Address):
         if not query:
             return dict.fromkeys(cls.ports(), "")
         start = f"{address}?"
+        # Keys that are stated already stay as they are.
         if "&" in prefix:
             stated_keys, _, _ = prefix.rpartition("&")
             start = f"{stated_keys}&"
-        profiles = {f"{start}profile={name}": "" for name in profile_names()}
-        settings = KINDS[address.partition(":")[0]].described()
-        return profiles | {
-            f"{start}{entry['key']}=": entry["doc"] for entry in settings
-        }
+        words = {f"{start}profile={name}": "" for name in profile_names()}
+        for entry in KINDS[address.partition(":")[0]].described():
+            words[f"{start}{entry['key']}="] = entry["doc"]
+        return words
 
 
 class SerialAddress(BoardAddress):
@@ -68,26 +66,9 @@ class SerialAddress(BoardAddress):
 
     @classmethod
     def listings(cls) -> Sequence[Listing]:
-        devices = serial_devices()
-        text_of_path = dict.fromkeys(devices, "")
-        try:
-            from serial.tools.list_ports import comports
-        except ImportError:
-            missing = "pyserial is not installed: pip install 'sparseskin[serial]'"
-            text_of_path = dict.fromkeys(text_of_path, missing)
-        else:
-            descriptions = {
-                port.device: port.description
-                for port in comports()
-                if port.hwid != "n/a"
-            }
-            names = {device: name for name, device in devices.items()}
-            for device, text in descriptions.items():
-                text_of_path[names.get(device, device)] = "" if text == "n/a" else text
-
         ports = [
             {"source": f"serial:{path}", "about": printable(text)}
-            for path, text in sorted(text_of_path.items())
+            for path, text in sorted(_texts_of_ports().items())
         ]
         profiles = []
         for name in profile_names():
@@ -98,6 +79,25 @@ class SerialAddress(BoardAddress):
             Listing("serial", "serial ports: add ?profile=NAME", ports),
             Listing("profiles", about, profiles),
         )
+
+
+def _texts_of_ports() -> dict[str, str]:
+    """What is known of each serial port, by its path."""
+    devices = serial_devices()
+    try:
+        from serial.tools.list_ports import comports
+    except ImportError:
+        missing = "pyserial is not installed: pip install 'sparseskin[serial]'"
+        return dict.fromkeys(devices, missing)
+
+    texts = dict.fromkeys(devices, "")
+    names = {device: name for name, device in devices.items()}
+    for port in comports():
+        # Ports without a hardware id are those of the mainboard: nothing need be at them.
+        if port.hwid != "n/a":
+            text = "" if port.description == "n/a" else port.description
+            texts[names.get(port.device, port.device)] = text
+    return texts
 
 
 class UdpAddress(BoardAddress):

@@ -23,7 +23,7 @@ from sparseskin.nodes.sensor.layout.checks import shown
 
 from .framing import Counts, Framing, PacketParser
 from .ports import Arrived, Port, needed_module
-from .settings import CanSettings
+from .settings import CanSettings, n_bytes_of
 
 MAX_IDS = 4096
 HIGHEST_ID = (1 << 29) - 1
@@ -53,8 +53,8 @@ class Chunks:
 def chunks_of(settings: CanSettings, framing: Framing) -> Chunks:
     """The chunks that settings state; SourceError if they contradict each other."""
     ids = _ids_of(settings.ids)
-    index_bytes = {"none": 0, "u8": 1, "u16": 2}[settings.index]
-    counter_bytes = {"none": 0, "u8": 1}[settings.counter]
+    index_bytes = n_bytes_of(settings.index)
+    counter_bytes = n_bytes_of(settings.counter)
     room = (64 if settings.fd else 8) - index_bytes - counter_bytes
     chunk_bytes = room if settings.chunk is None else settings.chunk
     if chunk_bytes > room:
@@ -127,9 +127,7 @@ class Assembler:
 
     def __init__(self, chunks: Chunks, counts: Counts) -> None:
         self._chunks = chunks
-        self._numbers = {
-            arbitration_id: k for k, arbitration_id in enumerate(chunks.ids)
-        }
+        self._numbers = {number: k for k, number in enumerate(chunks.ids)}
         self._counts = counts
         self._parts: dict[int, bytes] = {}
         self._counter = -1
@@ -158,7 +156,8 @@ class Assembler:
         if starts_new or number in self._parts:
             self.reset()
             self._counter = counter
-            if number and not chunks.counter_bytes:  # its begin is lost
+            # The begin of this frame is lost; without a counter its parts must come in order.
+            if number and not chunks.counter_bytes:
                 self._counts.dropped_bytes += len(data) - n_head
                 return None
 
@@ -202,13 +201,14 @@ class CanPort(Port):
     @classmethod
     def check(cls, address: str, settings: CanSettings) -> None:
         needed_module("can", "python-can", "can")
-        if settings.interface != "socketcan":
+        interface = settings.interface
+        if interface != "socketcan":
             from can.interfaces import VALID_INTERFACES
 
-            if settings.interface not in VALID_INTERFACES:
+            if interface not in VALID_INTERFACES:
+                hint = did_you_mean(interface, VALID_INTERFACES)
                 raise SourceError(
-                    f"interface: python-can has no {settings.interface[:40]!r}"
-                    f"{did_you_mean(settings.interface, VALID_INTERFACES)}"
+                    f"interface: python-can has no {interface[:40]!r}{hint}"
                 )
             return
         channels = can_channels()
@@ -216,11 +216,12 @@ class CanPort(Port):
             hint = did_you_mean(address, channels)
             raise NotHereError(f"there is no CAN interface {address}{hint}")
 
+        # The lowest flag of linux/if.h is IFF_UP.
         with contextlib.suppress(OSError, ValueError):
-            if not int(Path(f"/sys/class/net/{address}/flags").read_text(), 16) & 1:
-                raise NotHereError(
-                    f"the CAN interface {address} is down: ip link set {address} up"
-                )
+            flags = int(Path(f"/sys/class/net/{address}/flags").read_text(), 16)
+            if not flags & 1:
+                command = f"ip link set {address} up"
+                raise NotHereError(f"the CAN interface {address} is down: {command}")
 
     def open(self) -> None:
         can = needed_module("can", "python-can", "can")
@@ -229,28 +230,16 @@ class CanPort(Port):
         self.check(self.address, settings)
         self._assembler.reset()
         self._parser.reset()
-        options: dict[str, Any] = {}
+        options: dict[str, Any] = {"channel": self.address, "fd": settings.fd}
         if settings.bitrate is not None:
             options["bitrate"] = settings.bitrate
         if len(ids) <= MAX_FILTERS:
-            options["can_filters"] = [
-                _filter_of(arbitration_id) for arbitration_id in ids
-            ]
+            options["can_filters"] = [_filter_of(number) for number in ids]
+        # What drivers of several vendors have been seen to raise.
+        kinds = (OSError, ValueError, TypeError, ImportError, KeyError)
         try:
-            self._bus = can.Bus(
-                channel=self.address,
-                interface=settings.interface,
-                fd=settings.fd,
-                **options,
-            )
-        except (
-            can.CanError,
-            OSError,
-            ValueError,
-            TypeError,
-            ImportError,
-            KeyError,
-        ) as error:
+            self._bus = can.Bus(interface=settings.interface, **options)
+        except (can.CanError, *kinds) as error:
             reason = " ".join(str(error).split())
             raise SourceError(f"cannot be opened: {reason}") from error
 
@@ -289,7 +278,8 @@ class CanPort(Port):
 
     def close(self) -> None:
         if self._bus is not None:
-            with contextlib.suppress(Exception):  # a driver of any vendor
+            # The driver of any vendor may raise anything.
+            with contextlib.suppress(Exception):
                 self._bus.shutdown()
             self._bus = None
 

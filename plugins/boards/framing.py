@@ -160,23 +160,17 @@ class Framing:
         n_head = self.payload_at - len(self.start)
         body = bytearray(self.start + bytes(n_head) + payload + bytes(self.after))
         length = len(payload) + self.after
-        numbers = (
-            (self.stamp, stamp),
-            (self.first, first),
-            (self.length, length),
-            (self.sequence, sequence),
-        )
-        for field, value in numbers:
+        fields = (self.stamp, self.first, self.length, self.sequence)
+        for field, value in zip(fields, (stamp, first, length, sequence), strict=True):
             if field is not None:
+                # As a counter on the board does, numbers begin at 0 again.
                 modulus = 1 << 8 * field.n_bytes
                 raw = (value % modulus).to_bytes(field.n_bytes, self.byte_order)
                 body[field.at : field.at + field.n_bytes] = raw
 
-        covered = bytes(body[self._covered_from :])
-        checksum = self._check.compute(covered).to_bytes(
-            self._check.n_bytes, self.byte_order
-        )
-        return bytes(body) + checksum + self.end
+        check = self._check
+        value = check.compute(bytes(body[self._covered_from :]))
+        return bytes(body) + value.to_bytes(check.n_bytes, self.byte_order) + self.end
 
     @cached_property
     def _covered_from(self) -> int:
@@ -193,10 +187,8 @@ class Framing:
 
         n_check = self._check.n_bytes
         at = len(raw) - len(self.end) - n_check
-        if (
-            self.length
-            and _value(raw, self.length, self.byte_order) != at - self.payload_at
-        ):
+        length = self._number(raw, self.length)
+        if length is not None and length != at - self.payload_at:
             return False
         checksum = _value(raw, Field(at, n_check), self.byte_order)
         return self._check.compute(raw[self._covered_from : at]) == checksum
@@ -265,8 +257,10 @@ class FrameParser:
         self.counts = Counts() if counts is None else counts
         self._sequence = Sequence(framing.sequence_bytes, self.counts)
         self._buffer = bytearray()
-        self._offset = 0  # of the buffer in the stream
-        self._in_step = False  # a frame begins at the begin of the buffer
+        # Place of the buffer in the stream.
+        self._offset = 0
+        # True if a frame begins at the begin of the buffer.
+        self._in_step = False
 
     @property
     def n_waiting(self) -> int:
@@ -318,6 +312,7 @@ class FrameParser:
         if not (is_confirmed and framing.is_whole(raw)):
             self.counts.bad_frames += 1
             self._in_step = False
+            # The search for a strong frame would find this one again.
             if framing.is_strong:
                 self._drop(1)
             return True

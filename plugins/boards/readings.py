@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 import numpy.typing as npt
@@ -30,9 +30,8 @@ class Decoder:
         scale: float = 1.0,
         zero: float = 0.0,
     ) -> None:
-        self._dtype = np.dtype(dtype).newbyteorder(
-            "<" if byte_order == "little" else ">"
-        )
+        order: Literal["<", ">"] = "<" if byte_order == "little" else ">"
+        self._dtype = np.dtype(dtype).newbyteorder(order)
         self._shape = arrangement.shape
         self._places: Indices | None = arrangement.places
         self._scale = scale
@@ -48,18 +47,17 @@ class Decoder:
         clipped nor checked for other NaN.
         """
         counts = np.frombuffer(payload, self._dtype)
-        counts = (
-            counts.reshape(self._shape)
-            if self._places is None
-            else counts[self._places]
-        )
+        if self._places is not None:
+            counts = counts[self._places]
+        counts = counts.reshape(self._shape)
         readings = self._readings(counts)
         for number in missing:
             readings[counts == number] = np.nan
         return readings
 
     def _readings(self, counts: npt.NDArray[Any]) -> Floats:
-        with np.errstate(all="ignore"):  # a float64 beyond float32 becomes infinite
+        # A float64 beyond float32 becomes infinite.
+        with np.errstate(all="ignore"):
             if self._zero == 0 and self._scale == 1:
                 return counts.astype(np.float32)
 

@@ -37,9 +37,8 @@ class SerialPort(Port):
         super().__init__(address, settings, framing, counts)
         self.parser = FrameParser(framing, counts)
         self._port: Any = None
-        self._arrivals: deque[tuple[int, int]] = deque(
-            maxlen=4096
-        )  # end in the stream, time
+        # End of each read in the stream, and its time.
+        self._arrivals: deque[tuple[int, int]] = deque(maxlen=4096)
         self._overruns = 0
         self._recent: deque[bytes] = deque(maxlen=64)
 
@@ -66,7 +65,8 @@ class SerialPort(Port):
             self._port = serial.Serial(
                 self.address, self._settings.baud, timeout=0, exclusive=True
             )
-        except (OSError, ValueError) as error:  # SerialException is an OSError
+        except (OSError, ValueError) as error:
+            # SerialException is an OSError.
             reason = str(error)
             if isinstance(error, OSError) and error.errno is not None:
                 reason = os.strerror(error.errno)
@@ -83,17 +83,17 @@ class SerialPort(Port):
         for k in range(MAX_READS):
             data = os.read(fd, READ_BYTES)
             if not data:
-                if k:
-                    break
-                raise OSError("the device is gone")  # it was readable, and has nothing
+                # A device that was readable and has nothing was unplugged.
+                if not k:
+                    raise OSError("the device is gone")
+                break
 
             now_ns = time.monotonic_ns()
             self.n_bytes += len(data)
             self._recent.append(data)
             self._arrivals.append((self.n_bytes, now_ns))
-            frames += [
-                (self._arrival_of(frame.end), frame) for frame in self.parser.feed(data)
-            ]
+            for frame in self.parser.feed(data):
+                frames.append((self._arrival_of(frame.end), frame))
         return frames
 
     def _arrival_of(self, end: int) -> int:
@@ -114,42 +114,38 @@ class SerialPort(Port):
         if self._port is not None:
             with contextlib.suppress(OSError):
                 raw = fcntl.ioctl(self._port.fileno(), TIOCGICOUNT, bytes(80))
-                _, _, _, _, _, _, frame, overrun, parity, _, buffer = struct.unpack(
-                    "11i", raw[:44]
-                )
-                self._overruns = max(self._overruns, frame + overrun + parity + buffer)
+                # After six other counters: frame, overrun, parity, breaks, buffer overrun.
+                counters = struct.unpack_from("5i", raw, 24)
+                n_breaks = counters[3]
+                self._overruns = max(self._overruns, sum(counters) - n_breaks)
         return {"port_errors": self._overruns}
 
     def hint(self) -> str:
         framing = self.parser.framing
         recent = b"".join(self._recent)
         start = framing.prefix.hex(" ").upper()
-        places = [
-            match.start() for match in re.finditer(re.escape(framing.prefix), recent)
-        ]
+        matches = re.finditer(re.escape(framing.prefix), recent)
+        places = [match.start() for match in matches]
         if len(places) < 2:
             if len(recent) < framing.n_bytes:
                 return ""
             return f"; the start bytes {start} hardly occur"
 
         # The most frequent distance of two starts.
-        distance, n_times = Counter(b - a for a, b in pairwise(places)).most_common(1)[
-            0
-        ]
+        distances = Counter(b - a for a, b in pairwise(places))
+        ((distance, n_times),) = distances.most_common(1)
         if n_times < 2 or distance == framing.n_bytes:
             return ""
         n_payload = distance - framing.n_bytes + framing.payload_bytes
-        return (
-            f"; from {start} to {start} it is {distance} bytes, {n_payload} of readings"
-        )
+        sizes = f"{distance} bytes, {n_payload} of readings"
+        return f"; from {start} to {start} it is {sizes}"
 
 
 def serial_devices(dev: Path = Path("/dev")) -> dict[str, str]:
     """Serial ports of this host that a board may be at, sorted, by the device that each is now; a
     port of USB by its name in serial/by-id, which it keeps wherever it is plugged in.
     """
-    name_of_device = {
-        os.path.realpath(path): str(path) for path in dev.glob("serial/by-id/*")
-    }
+    links = dev.glob("serial/by-id/*")
+    name_of_device = {os.path.realpath(link): str(link) for link in links}
     paths = sorted(str(path) for name in DEVICES for path in dev.glob(name))
     return {name_of_device.get(os.path.realpath(path), path): path for path in paths}

@@ -108,27 +108,22 @@ class BoardSettings(GridLayout):
 
     def decoder(self) -> Decoder:
         """Decoder of the readings; SourceError if a key is missing or wrong."""
-        for key in ("n_rows", "n_cols"):
-            if getattr(self, key) is None:
-                raise SourceError(
-                    f"{key} is not stated; add {key}=NUMBER, or profile=NAME of a board that "
-                    "has its size (sparseskin sources lists them)"
-                )
-        assert self.n_rows is not None
-        assert self.n_cols is not None
+        if self.n_rows is None or self.n_cols is None:
+            key = "n_rows" if self.n_rows is None else "n_cols"
+            raise SourceError(
+                f"{key} is not stated; add {key}=NUMBER, or profile=NAME of a board that "
+                "has its size (sparseskin sources lists them)"
+            )
         check_grid(self.n_rows, self.n_cols, "n_rows, n_cols")
         check_unit("unit", self.unit)
-        return Decoder(
-            self.dtype, self.byte_order, self.places(), self.scale, self.zero
-        )
+        places = self.places()
+        return Decoder(self.dtype, self.byte_order, places, self.scale, self.zero)
 
     def places(self) -> Arrangement:
         """Places of the readings in a frame as it is sent."""
-        grid = {
-            field.name: getattr(self, field.name)
-            for field in dataclasses.fields(GridLayout)
-        }
-        return arrange(Layout(**grid), [Axis(self.n_stated or 0)], "the frame")
+        names = [field.name for field in dataclasses.fields(GridLayout)]
+        layout = Layout(**{name: getattr(self, name) for name in names})
+        return arrange(layout, [Axis(self.n_stated or 0)], "the frame")
 
     def skin(self) -> Skin:
         """The skin, of stated rows and columns; SourceError if its range is not known."""
@@ -139,9 +134,9 @@ class BoardSettings(GridLayout):
                 f"f_max is not stated, and {self.dtype} has no largest value"
             )
         if f_max is None:
-            lowest = float((np.iinfo(dtype).min - self.zero) * self.scale)
-            highest = float((np.iinfo(dtype).max - self.zero) * self.scale)
-            f_max = max(lowest, highest)
+            # With a scale below 0 the least count is the largest reading.
+            ends = (np.iinfo(dtype).min, np.iinfo(dtype).max)
+            f_max = max(float((end - self.zero) * self.scale) for end in ends)
         if not f_max > 0:
             raise SourceError(
                 f"zero = {self.zero:g} leaves no range: the largest reading is {f_max:g}"
@@ -155,10 +150,10 @@ class BoardSettings(GridLayout):
         """Framing of a payload of so many bytes; SourceError if a key is wrong."""
         digits = "".join(self.start.split())
         pairs = [digits[k : k + 2] for k in range(0, len(digits), 2)]
-        start = _bytes_of(
-            "start", "".join("00" if pair == "??" else pair for pair in pairs)
-        )
         free_places = frozenset(k for k, pair in enumerate(pairs) if pair == "??")
+        for k in free_places:
+            pairs[k] = "00"
+        start = _bytes_of("start", "".join(pairs))
         if self.needs_start and not start:
             raise SourceError(
                 "start is not stated; add start=HEX, the bytes that begin a frame"
@@ -210,10 +205,10 @@ class BoardSettings(GridLayout):
         n = n_bytes_of(kind)
         begin = framing.payload_at
         end = begin + framing.payload_bytes
-        if at is not None and (at + n <= begin or end <= at <= end + framing.after - n):
-            return Field(at, n)
         place = "is not stated"
         if at is not None:
+            if at + n <= begin or end <= at <= end + framing.after - n:
+                return Field(at, n)
             place = str(at)
         raise SourceError(
             f"{key}_at: {place}; allowed are the {n} bytes of {key} before the readings, "
@@ -261,6 +256,7 @@ class StreamSettings(BoardSettings):
             )
 
         framing = super().framing(n * itemsize)
+        # A wrong length would hide where the next frame begins.
         if framing.length and self.needs_start and not framing.is_strong:
             raise SourceError(
                 "length: needs a CRC of 16 bits or more; add checksum=crc16"
@@ -365,8 +361,7 @@ def split_source(source: str) -> tuple[str, str, dict[str, str]]:
     kind, _, target = source.partition(":")
     address, _, query = target.partition("?")
     values: dict[str, str] = {}
-    parts = query.split("&") if query else []
-    for part in parts:
+    for part in query.split("&") if query else ():
         key, equals, value = part.partition("=")
         if not (key and equals):
             raise SourceError(f"{kind}:{address}: {shown(part)} is no KEY=VALUE")
@@ -414,16 +409,15 @@ def read_profile(name: str, cls: type[BoardSettings]) -> dict[str, Any]:
             f"profile: there is no {shown(name)}{hint}; or the path of a .toml file"
         )
 
-    all_keys = {
-        field.name for kind in KINDS.values() for field in dataclasses.fields(kind)
-    }
+    all_keys: set[str] = set()
+    for kind in KINDS.values():
+        all_keys |= {field.name for field in dataclasses.fields(kind)}
     values = read_toml(path)
     values.pop("about", None)
     for key, value in values.items():
         if key not in all_keys:
-            raise SourceError(
-                f"profile {name}: {key}: unknown key{did_you_mean(key, all_keys)}"
-            )
+            hint = did_you_mean(key, all_keys)
+            raise SourceError(f"profile {name}: {key}: unknown key{hint}")
         # A list of arbitration ids is a text in the name of a source.
         if isinstance(value, list):
             values[key] = ",".join(map(str, value))

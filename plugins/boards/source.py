@@ -81,20 +81,13 @@ def describe_board(
         if not address:
             raise SourceError("nothing follows; expected " + _FORMS[kind])
         settings = read_settings(kind, query)
-        of_sensor: dict[str, Any] = {
-            "n_rows": n_rows,
-            "n_cols": n_cols,
-            "f_max": f_max,
-            "unit": unit,
-        }
-        stated_keys = {
-            key for key in of_sensor if getattr(settings, key) not in (None, "raw")
-        }
-        missing = {
-            key: value
-            for key, value in of_sensor.items()
-            if value is not None and key not in stated_keys
-        }
+        size = {"n_rows": n_rows, "n_cols": n_cols}
+        of_sensor: dict[str, Any] = {**size, "f_max": f_max, "unit": unit}
+        # What the source leaves out; the unit of counts says nothing.
+        missing = {}
+        for key, value in of_sensor.items():
+            if value is not None and getattr(settings, key) in (None, "raw"):
+                missing[key] = value
         settings = dataclasses.replace(settings, **missing)
 
         decoder = settings.decoder()
@@ -265,9 +258,8 @@ class BoardSource(LiveSource):
         self._is_open = True
         self._heard_at = time.monotonic()
         self._said_silent = False
-        self._lines.append(
-            f"{self.name}: is back after {self._heard_at - self._gone_at:.1f} s"
-        )
+        gone_s = self._heard_at - self._gone_at
+        self._lines.append(f"{self.name}: is back after {gone_s:.1f} s")
         return True
 
     def _pieces_of(self, board: Board) -> Pieces | None:
@@ -299,9 +291,7 @@ class BoardSource(LiveSource):
         settings = self._board.settings
         # One frame may wait for the start bytes of the next.
         if n_bytes > n:
-            baud = ""
-            if isinstance(settings, SerialSettings):
-                baud = ", baud"
+            baud = ", baud" if isinstance(settings, SerialSettings) else ""
             return (
                 f"{self.name}: {n_bytes} bytes came, but no frame of {n} bytes: check start, "
                 f"n_rows, n_cols, dtype, checksum{baud}{self._port.hint()}"
@@ -321,16 +311,16 @@ class BoardSource(LiveSource):
             return forces
 
         missing = ~np.isfinite(forces)
-        has_missing = bool(missing.any())
-        if has_missing and not self._layout.accepts_missing:
+        if missing.any() and not self._layout.accepts_missing:
+            # One line for all frames: they may come at 1 kHz.
             if not self.n_not_finite:
                 line = f"{self.name}: a frame is dropped, as a reading is no number"
                 self._lines.append(f"{line}; {NAN_HINT}")
             self.n_not_finite += 1
             return None
 
-        if has_missing:
-            forces[missing] = np.nan
+        # An infinite reading is missing, too.
+        forces[missing] = np.nan
         if self._raw:
             return forces
         self.clipped.add(forces, 0.0, f_max)
@@ -359,9 +349,7 @@ class BoardSource(LiveSource):
         if dropped:
             lines.append(f"dropped: {dropped}")
         if self.n_gone:
-            times = "times"
-            if self.n_gone == 1:
-                times = "time"
+            times = "time" if self.n_gone == 1 else "times"
             lines.append(f"the device was gone {self.n_gone} {times}")
         return {"board": figures, "lines": lines}
 
@@ -395,7 +383,5 @@ def dropped_text(figures: dict[str, int]) -> str:
         "port_errors": "errors of the port",
         "dropped_bytes": "bytes",
     }
-    counts = [
-        f"{figures[key]} {text}" for key, text in words.items() if figures.get(key)
-    ]
-    return ", ".join(counts)
+    keys = [key for key in words if figures.get(key)]
+    return ", ".join(f"{figures[key]} {words[key]}" for key in keys)

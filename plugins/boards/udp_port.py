@@ -81,9 +81,8 @@ class UdpPort(Port):
             # The kernel states how many packets it has dropped so far.
             for level, kind, value in ancillary:
                 if (level, kind) == (socket.SOL_SOCKET, SO_RXQ_OVFL):
-                    self._n_dropped = max(
-                        self._n_dropped, int.from_bytes(value, sys.byteorder)
-                    )
+                    n_dropped = int.from_bytes(value, sys.byteorder)
+                    self._n_dropped = max(self._n_dropped, n_dropped)
             if self._is_heard(sender, now_ns / 1e9):
                 frames += self._taken(packet, sender, now_ns)
             else:
@@ -113,9 +112,8 @@ class UdpPort(Port):
         self._n_strangers += 1
         if self._n_strangers == 1:
             heard = self._settings.sender or _text(self._sender)
-            self.lines.append(
-                f"packets of {_text(sender)} are dropped; {heard} is the sender"
-            )
+            dropped = f"packets of {_text(sender)} are dropped"
+            self.lines.append(f"{dropped}; {heard} is the sender")
 
     def _is_heard(self, sender: tuple[str, int], now_s: float) -> bool:
         if self._settings.sender is not None:

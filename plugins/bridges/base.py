@@ -101,12 +101,13 @@ def point_columns(
         of_points = pitch_m * np.stack([cols, rows, np.zeros_like(rows)])
     else:
         of_points = skin.points.T
-    names = ("x", "y", "z", "nx", "ny", "nz")
-    columns = dict(zip(names[:3], of_points.astype(np.float32), strict=False))
+    # Points of a file have their normals behind their places.
+    columns = dict(zip("xyz", of_points.astype(np.float32), strict=False))
     columns |= {name: layer[exists] for name, layer in layers.items()}
     if normals:
-        columns |= dict(zip(names[3:], of_points[3:], strict=True))
+        columns |= dict(zip(("nx", "ny", "nz"), of_points[3:], strict=True))
     if skin.point_rows is not None:
+        # All columns of a cloud have one dtype; a float32 would round large numbers.
         columns[ROW] = skin.point_rows.astype("<u4").view("<f4")
     return columns
 
@@ -144,10 +145,11 @@ class Bridge(Node[S]):
 
     @classmethod
     def optional_inputs(cls, settings: S) -> tuple[str, ...]:
-        schemas = (*settings.maps, *cls.EXTRAS)
-        return tuple(
-            topic_of(patch, schema) for patch in settings.patches for schema in schemas
-        )
+        topics: list[str] = []
+        for patch in settings.patches:
+            topics += [topic_of(patch, schema) for schema in settings.maps]
+            topics += [topic_of(patch, schema) for schema in cls.EXTRAS]
+        return tuple(topics)
 
     def step(self, message: Message) -> Iterable[Message]:
         if isinstance(message, SkinState):
@@ -159,21 +161,16 @@ class Bridge(Node[S]):
             if message.seq != self._next.get(topic):
                 self._held[topic] = {}
             self._next[topic] = message.seq + 1
-            for part in message.split(
-                self._held[topic]
-            ):  # none before the first that is solved
+            # None comes before the first frame that is solved.
+            for part in message.split(self._held[topic]):
                 self._send(part, skin)
         return ()
 
     def _send(self, message: Map | Contacts, skin: SkinState | None) -> None:
         # The skin may arrive on another connection than its frames.
-        fits = skin is not None
-        if skin is not None and isinstance(message, Map):
-            fits = message.forces.shape[1:] == skin.skin.shape
-        if skin is None or not fits:
+        if skin is None or not _fits(message, skin):
             self.n_dropped += 1
             return
-
         self.send(message, skin)
         self.n_sent += 1
 
@@ -195,20 +192,17 @@ class Bridge(Node[S]):
         return text
 
     def report(self) -> dict[str, Any]:
-        return {
-            "bridge": {
-                "where": self.where(),
-                "sent": self.n_sent,
-                "dropped": self.n_dropped,
-            }
-        }
+        counts = {"sent": self.n_sent, "dropped": self.n_dropped}
+        return {"bridge": {"where": self.where(), **counts}}
+
+
+def _fits(message: Map | Contacts, skin: SkinState) -> bool:
+    if isinstance(message, Contacts):
+        return True
+    return message.forces.shape[1:] == skin.skin.shape
 
 
 def patches_of(topics: Iterable[str]) -> list[str]:
     """Patches of which there is a skin, in order."""
-    patches: dict[str, None] = {}
-    for topic in topics:
-        patch, schema = split_topic(topic)
-        if schema == SkinState.schema:
-            patches[patch] = None
-    return list(patches)
+    pairs = (split_topic(topic) for topic in topics)
+    return [patch for patch, schema in pairs if schema == SkinState.schema]

@@ -43,9 +43,8 @@ def configure(parser: argparse.ArgumentParser) -> None:
     )
     for name, cls in bridges().items():
         command = add(name, _bridge, cls.HELP)
-        command.description = (
-            f"{cls.HELP[0].upper()}{cls.HELP[1:]}, until it ends or Ctrl-C."
-        )
+        about = cls.HELP[0].upper() + cls.HELP[1:]
+        command.description = f"{about}, until it ends or Ctrl-C."
         command.set_defaults(bridge=name)
         if "port" in {entry["key"] for entry in cls.Settings.described()}:
             about = "port of 127.0.0.1; 0: a free one"
@@ -83,6 +82,7 @@ def _bridge(arguments: argparse.Namespace) -> int:
     with naming_options({"port": "--port"}):
         code, summary = run_beside(graph, arguments.bridge, name, values, topics)
     print_ends(summary["nodes"])
+    # A bridge that sent nothing has failed, though it ended well.
     sent = summary["nodes"][name].get("bridge", {}).get("sent", 0)
     if not sent:
         return code or EXIT_NOTHING

@@ -84,13 +84,10 @@ def shapes(contacts: Contacts, skin: SkinState) -> list[Shape]:
 
     lengths = contacts.total * (extent / (FULL * skin.f_max))
     tails = centres + lengths[:, None] * normals
-    ids = contacts.id.tolist()
-    areas = contacts.area.tolist()
-    totals = contacts.total.tolist()
     drawn = []
-    for k, number in enumerate(ids):
-        diameter = side * math.sqrt(areas[k])
-        text = f"{number}: {totals[k]:.3g} {skin.unit}"
+    for k, number in enumerate(contacts.id.tolist()):
+        diameter = side * math.sqrt(contacts.area[k])
+        text = f"{number}: {contacts.total[k]:.3g} {skin.unit}"
         drawn.append(Shape(number, centres[k], tails[k], diameter, text))
     return drawn
 
@@ -109,16 +106,15 @@ def as_json(contacts: Contacts) -> dict[str, Any]:
     rows = zip(*(columns[name].tolist() for name in names), strict=True)
     entries = []
     for row in rows:
-        # Numbers that are not known are NaN.
+        # JSON has no NaN, by which numbers that are not known are marked.
         entries.append({name: v for name, v in zip(names, row, strict=True) if v == v})
+    events = [{"id": number, "event": event} for number, event in contacts.named_events]
     return {
         "n": contacts.id.size,
         "total": float(contacts.total.sum()),
         "trusted": contacts.trusted[0],
         "contacts": entries,
-        "events": [
-            {"id": number, "event": event} for number, event in contacts.named_events
-        ],
+        "events": events,
     }
 
 

@@ -91,7 +91,8 @@ def _member(form: Any) -> Any:
     if node in (Nodetype.SEQUENCE, Nodetype.ARRAY):
         list_type: Any = idl.sequence if node == Nodetype.SEQUENCE else idl.array
         entry, length = detail
-        if not length:  # a sequence without a limit
+        if not length:
+            # A sequence without a limit.
             return list_type[_member(entry)]
         return list_type[_member(entry), length]
     if node == Nodetype.NAME:
@@ -111,14 +112,12 @@ class Member:
         try:
             if interface and _domains.get(domain, ("",))[0] != interface:
                 _domains[domain] = (interface, Domain(domain, _config(interface)))
-            self.participant = DomainParticipant(
-                domain, Qos(Policy.Userdata(b"enclave=/;"))
-            )
-            address_of = {
-                fd: address
-                for fd, address in _udp_sockets().items()
-                if fd not in sockets_before
-            }
+            # Nodes of ROS 2 ignore a participant that names no enclave.
+            enclave = Qos(Policy.Userdata(b"enclave=/;"))
+            self.participant = DomainParticipant(domain, enclave)
+            address_of = _udp_sockets()
+            for fd in sockets_before:
+                address_of.pop(fd, None)
             if interface == "lo":
                 _bind_to_loopback(address_of)
         except (DDSException, OSError) as error:
@@ -186,12 +185,10 @@ class Member:
             # Topics of DDS alone, and services, have other names.
             if name.startswith(f"{TOPIC_PREFIX}/"):
                 reliable = Policy.Reliability.BestEffort not in publication.qos
-                kind = (
-                    type_name.replace("::dds_::", "/")
-                    .replace("::", "/")
-                    .removesuffix("_")
-                )
-                self._publications[name.removeprefix(TOPIC_PREFIX)] = (kind, reliable)
+                # package::msg::dds_::Name_ is package/msg/Name.
+                kind = type_name.replace("::dds_::", "::").replace("::", "/")
+                topic = name.removeprefix(TOPIC_PREFIX)
+                self._publications[topic] = (kind.removesuffix("_"), reliable)
         return self._publications
 
     def close(self) -> None:
@@ -222,23 +219,21 @@ class Member:
                     return True
             return False
 
+        def announcement(reader_guids: list[UUID], writer_guids: list[UUID]) -> Any:
+            node = types["rmw_dds_common/msg/NodeEntitiesInfo"](
+                "/", name, gids(reader_guids), gids(writer_guids)
+            )
+            (gid,) = gids([self.participant.guid])
+            data = cdr.encoded(NODES, gid=gid, node_entities_info_seq=[node])
+            return ready(writer.topic.data_type, data)
+
         while not self._left.wait(ANNOUNCE_S):
-            with contextlib.suppress(
-                DDSException
-            ):  # of a reader that has left meanwhile
+            # A reader may leave meanwhile.
+            with contextlib.suppress(DDSException):
                 readers = writer.get_matched_subscriptions()
                 state = (readers, [*self._readers], [*self._writers])
                 if state != announced and are_of_jazzy(readers):
-                    _, own_readers, own_writers = state
-                    ends = (gids(own_readers), gids(own_writers))
-                    node = types["rmw_dds_common/msg/NodeEntitiesInfo"](
-                        "/", name, *ends
-                    )
-                    (gid_of_participant,) = gids([self.participant.guid])
-                    data = cdr.encoded(
-                        NODES, gid=gid_of_participant, node_entities_info_seq=[node]
-                    )
-                    writer.write(ready(writer.topic.data_type, data))
+                    writer.write(announcement(*state[1:]))
                     announced = state
 
 
@@ -255,13 +250,14 @@ def _udp_sockets() -> dict[int, str]:
     """IPv4 addresses of the UDP sockets of this process, by their file descriptors."""
     addresses = {}
     for name in os.listdir("/proc/self/fd"):
-        try:
-            if os.readlink(f"/proc/self/fd/{name}").startswith("socket:"):
-                with socket.socket(fileno=os.dup(int(name))) as copy:
-                    if (copy.family, copy.type) == (socket.AF_INET, socket.SOCK_DGRAM):
-                        addresses[int(name)] = copy.getsockname()[0]
-        except OSError:
-            continue  # it was closed meanwhile
+        # A file may be closed meanwhile.
+        with contextlib.suppress(OSError):
+            if not os.readlink(f"/proc/self/fd/{name}").startswith("socket:"):
+                continue
+            # A copy: to close it must not close the socket itself.
+            with socket.socket(fileno=os.dup(int(name))) as copy:
+                if (copy.family, copy.type) == (socket.AF_INET, socket.SOCK_DGRAM):
+                    addresses[int(name)] = copy.getsockname()[0]
     return addresses
 
 

@@ -38,7 +38,8 @@ class FoxgloveBridge(Bridge[FoxgloveSettings]):
 
     HELP = "serve a running graph to Foxglove and Lichtblick"
     Settings = FoxgloveSettings
-    patience_s = 0.008  # not visible to a person; messages are read together
+    # Not visible to a person; messages are read together.
+    patience_s = 0.008
 
     def __init__(self, settings: FoxgloveSettings, context: Context) -> None:
         super().__init__(settings, context)

@@ -25,16 +25,8 @@ NONE = "none"
 """Values of `Layout.time`: the times at which messages were recorded; no times."""
 STAMP = "header.stamp"
 SOURCES = (
-    *(
-        "sensor_id",
-        "sensor_name",
-        "device_id",
-        "board_id",
-        "module_id",
-        "skin_id",
-        "side",
-        "hand",
-    ),
+    *("sensor_id", "sensor_name", "device_id", "board_id", "module_id", "skin_id"),
+    *("side", "hand"),
     *("sensor", "device", "board", "module", "skin", "patch", "finger"),
 )
 """Members of messages that state which skin they are of."""
@@ -86,21 +78,15 @@ class MessageReader:
         #: Unit of the times; "" if nothing states it.
         self.time_unit = "ns"
         self._decode = Decoder(definitions, kind).decode
-        members = definitions.members(kind)
-        self._has_header = any(
-            member.name == "header" and member.kind == HEADER for member in members
-        )
-        stamps = [
-            member.name
-            for member in members
-            if member.kind == TIME and member.n_entries is None
-        ]
-        numbers = [
-            member.name
-            for member in members
+        kind_of = {
+            member.name: member.kind
+            for member in definitions.members(kind)
             if member.n_entries is None
-            and member.kind in BASES
-            and is_time_name(member.name)
+        }
+        self._has_header = kind_of.get("header") == HEADER
+        stamps = [name for name in kind_of if kind_of[name] == TIME]
+        numbers = [
+            name for name in kind_of if kind_of[name] in BASES and is_time_name(name)
         ]
 
         #: Where the times stand in a message; "" if they are those of the recording.
@@ -110,6 +96,7 @@ class MessageReader:
         elif not layout.time and self._has_header:
             self.time_path = STAMP
         elif not layout.time and len(stamps or numbers) == 1:
+            # Of several, it is not clear which is meant.
             (self.time_path,) = stamps or numbers
         self._is_header_time = self.time_path == STAMP
         self._stated_unit = layout.time_unit
@@ -183,11 +170,8 @@ def fields_that_fit(message: Message, layout: Layout) -> dict[str, Numbers]:
         fields = {"": numbers_at(message, "")}
     else:
         fields = paths_of(message, layout.channel)
-    fitting = {
-        field: numbers
-        for field, numbers in fields.items()
-        if _fits(numbers, layout.n_stated)
-    }
+    n = layout.n_stated
+    fitting = {field: fields[field] for field in fields if _fits(fields[field], n)}
     return fitting or fields
 
 
@@ -202,11 +186,9 @@ def choose_field(message: Message, layout: Layout, where: str) -> str:
     if not fitting:
         raise SourceError(f"{where}: {message.kind} holds no list of numbers")
     if len(fitting) > 1:
-        fields_text = ", ".join(
-            f"{printable(field)} {size_text(numbers)}"
-            for field, numbers in fitting.items()
-        )
-        fault = f"{message.kind} holds {len(fitting)} fields of numbers: {fields_text[:300]}"
+        texts = [f"{printable(name)} {size_text(fitting[name])}" for name in fitting]
+        fault = f"{message.kind} holds {len(fitting)} fields of numbers"
+        fault = f"{fault}: {', '.join(texts)[:300]}"
         options = [{"field": field} for field in fitting]
         raise UnstatedError(f"{where}: {fault}; state field", *options)
     return next(iter(fitting))

@@ -69,9 +69,8 @@ class LatestFrames:
         self._frame: Reconstruction | None = None
         self._held: dict[str, Floats] = {}
         self._seq = -1
-        self._thread = Thread(
-            target=self._read, name=f"frames of {self._label}", daemon=True
-        )
+        name = f"frames of {self._label}"
+        self._thread = Thread(target=self._read, name=name, daemon=True)
         self._thread.start()
 
     def newest(self, after: int = 0, timeout_s: float = 0.0) -> Latest | None:
@@ -79,14 +78,12 @@ class LatestFrames:
         come in time. Raises GraphError once the graph has ended.
         """
         with self._news:
-            self._news.wait_for(
+            is_due = self._news.wait_for(
                 lambda: self._why_ended or self._number > after, timeout_s
             )
             if self._why_ended:
                 raise GraphError(self._why_ended)
-            if self._number <= after:
-                return None
-            return self._latest
+            return self._latest if is_due else None
 
     def close(self) -> None:
         """Stop reading."""
@@ -100,7 +97,8 @@ class LatestFrames:
                 for arrival in arrivals:
                     try:
                         self._take(decode(arrival.topic, arrival.payload))
-                    except MessageError:  # a later one may be well-formed
+                    except MessageError:
+                        # A later one may be well-formed.
                         continue
         except GraphError as error:
             why = str(error)
@@ -114,14 +112,7 @@ class LatestFrames:
         if isinstance(message, SkinState):
             self._skin = message
         elif isinstance(message, Reconstruction):
-            if self._part not in (message.names or ("",)):
-                patches = [f"{message.patch}/{name}" for name in message.names] or [
-                    message.patch
-                ]
-                hint = did_you_mean(f"{message.patch}/{self._part}", patches)
-                raise GraphError(
-                    f"{message.topic}: patch: {patches[0]} is one of {len(patches)}{hint}"
-                )
+            self._check_part(message)
             # A frame that a later one refers to may be lost.
             if message.seq != self._seq + 1:
                 self._held.clear()
@@ -131,6 +122,16 @@ class LatestFrames:
                 self._publish(None)
         elif isinstance(message, Contacts):
             self._publish(self._part_of(message.split()))
+
+    def _check_part(self, message: Reconstruction) -> None:
+        """Raise GraphError if a batch does not have the patch, or it has no name within one."""
+        batch = message.patch
+        if self._part in (message.names or ("",)):
+            return
+        patches = [f"{batch}/{name}" for name in message.names] or [batch]
+        hint = did_you_mean(f"{batch}/{self._part}", patches)
+        choice = f"{patches[0]} is one of {len(patches)}"
+        raise GraphError(f"{message.topic}: patch: {choice}{hint}")
 
     def _part_of(self, parts: list[Part]) -> Part | None:
         """The message of the patch that is read, of those of a batch."""

@@ -51,24 +51,32 @@ class Member:
         """A writer of messages of a type, as "sensor_msgs/msg/Image"."""
         quality = _quality(depth, reliable)
         publisher = self._node.create_publisher(_message_type(kind), topic, quality)
-        return Writer(
-            publisher.get_subscription_count,
-            lambda data: publisher.publish(data) is None,
-        )
+
+        # rclpy does not report a message that it drops.
+        def write(data: bytes) -> bool:
+            publisher.publish(data)
+            return True
+
+        return Writer(publisher.get_subscription_count, write)
 
     def reader(self, topic: str, kind: str, depth: int, reliable: bool) -> Reader:
         """A reader of these messages."""
         waiting = deque[bytes](maxlen=depth)
         lost = deque[Any](maxlen=1)
-        events = SubscriptionEventCallbacks(
-            message_lost=lambda event: lost.append(event)
-        )
+
+        # rclpy asks for the signatures of both, which methods of a deque do not have.
+        def arrived(data: bytes) -> None:
+            waiting.append(data)
+
+        def were_lost(event: Any) -> None:
+            lost.append(event)
+
         self._node.create_subscription(
             _message_type(kind),
             topic,
-            lambda data: waiting.append(data),  # rclpy asks for a signature
+            arrived,
             _quality(depth, reliable),
-            event_callbacks=events,
+            event_callbacks=SubscriptionEventCallbacks(message_lost=were_lost),
             raw=True,
         )
 

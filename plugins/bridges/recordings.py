@@ -92,7 +92,8 @@ class Stream(NamedTuple):
     topic: str
     reader: MessageReader
     first: Received
-    uses_log: bool  # their times are those of the recording
+    # Their times are those of the recording.
+    uses_log: bool
     notes: tuple[str, ...]
 
     @property
@@ -148,9 +149,8 @@ class RosRecording(Recording):
         dtype = stream.first.numbers.values.dtype.newbyteorder("=")
         size = frames_per_block(stream.first.numbers.values.size)
         self.tally.begin()
-        reads = _Reads(
-            self._name, stream, self.tally, self._layout.n_stated is not None
-        )
+        is_stated = self._layout.n_stated is not None
+        reads = _Reads(self._name, stream, self.tally, is_stated)
         numbers = np.empty((size, *stream.shape), dtype)
         times: list[int | float] = []
         turns = Turns()
@@ -191,11 +191,9 @@ class RosRecording(Recording):
             likely = self._likely(topics)
 
         firsts = self._firsts({topic: topics[topic] for topic in likely})
-        choices = [
-            (topic, field)
-            for topic, of_topic in firsts.items()
-            for field in of_topic.fields
-        ]
+        choices: list[tuple[str, str]] = []
+        for topic, of_topic in firsts.items():
+            choices += [(topic, field) for field in of_topic.fields]
         if len(choices) > 1:
             raise self._unstated(firsts, choices)
         topic, field = choices[0]
@@ -226,23 +224,12 @@ class RosRecording(Recording):
         have; or else all. Those without a message are left out.
         """
         counts: dict[str, int] = {}
-        if self._metadata:
+        # The counts of a recorder that was killed are not true.
+        if self._metadata and self._is_closed and any(self._metadata.counts.values()):
             counts = self._metadata.counts
-        # Those of a recorder that was killed are not true.
-        if not (self._is_closed and any(counts.values())):
-            counts = {}
-        filled = {
-            topic: described
-            for topic, described in topics.items()
-            if counts.get(topic) != 0
-        }
-        likely = [
-            topic
-            for topic, described in filled.items()
-            if described.kind in KINDS
-            or not Definitions(described.ros).is_of_ros(described.kind)
-        ]
-        return likely or list(filled)
+        filled = [topic for topic in topics if counts.get(topic) != 0]
+        likely = [topic for topic in filled if _may_hold_frames(topics[topic])]
+        return likely or filled
 
     def _firsts(self, topics: dict[str, Topic]) -> dict[str, First]:
         """The first message with numbers of each topic that has one."""
@@ -267,9 +254,8 @@ class RosRecording(Recording):
             except (EmptyMessageError, OtherFrameError) as error:
                 faults.setdefault(topic, str(error))
             except UnstatedError as error:
-                raise UnstatedError(
-                    f"{self._name}: {topic}: {error}", *error.options
-                ) from error
+                text = f"{self._name}: {topic}: {error}"
+                raise UnstatedError(text, *error.options) from error
             except SourceError as error:
                 faults[topic] = str(error)
                 tries[topic] += 1
@@ -389,7 +375,8 @@ class RosRecording(Recording):
                             f"{self._name}: its messages are far larger than the file"
                         )
                     yield message
-            except (ValueError, KeyError, OverflowError) as error:  # of malformed bytes
+            except (ValueError, KeyError, OverflowError) as error:
+                # Of malformed bytes.
                 raise unreadable(storage.name, error) from error
 
     def _account(self, topic: str) -> None:
@@ -442,26 +429,24 @@ class _Reads:
         """The time of a message, of which this is the number. Raises UnstatedError if stamps of
         headers fall, or one is missing.
         """
-        time = message.log_ns if self._stream.uses_log else received.time
+        uses_log = self._stream.uses_log
+        time = message.log_ns if uses_log else received.time
         place = f"{self._where}: message {number}"
-        is_header_time = (
-            not self._stream.uses_log and self._stream.reader.time_unit == "ns"
-        )
-        if time is None or (is_header_time and time < (self._last_time or 0)):
+        is_header_time = not uses_log and self._stream.reader.time_unit == "ns"
+        last_time = self._last_time or 0
+        if time is None or (is_header_time and time < last_time):
             fault = "its stamp is before that of the one before it, or missing"
             hint = f"state time={LOG}, the times of the recording"
-            fall_ns = (self._last_time or 0) - (time or 0)
+            fall_ns = last_time - (time or 0)
             if time and fall_ns < SWAPPED_NS:
                 # By the times of the recording, the frames would keep a wrong order.
                 raise SourceError(
                     f"{place}: {fault}, by {fall_ns / 1e9:.3g} s; {hint} and order"
                 )
             raise UnstatedError(f"{place}: {fault}; {hint}", {"time": LOG})
-        if self._stream.uses_log and time < (self._last_time or 0):
-            fault = (
-                f"was recorded before more than {WINDOW} messages that stand before it"
-            )
-            raise SourceError(f"{place}: {fault}; {IN_ORDER}")
+        if uses_log and time < last_time:
+            overtaken = f"more than {WINDOW} messages that stand before it"
+            raise SourceError(f"{place}: was recorded before {overtaken}; {IN_ORDER}")
         self._last_time = time
         return time
 
@@ -509,6 +494,10 @@ def open_storage(path: str, work: Workspace) -> Storage:
     raise SourceError(f"{path}: is no .bag, .db3 or .mcap of ROS; if it is {CONVERT}")
 
 
+def _may_hold_frames(topic: Topic) -> bool:
+    return topic.kind in KINDS or not Definitions(topic.ros).is_of_ros(topic.kind)
+
+
 def in_order(messages: Iterator[Recorded]) -> Iterator[Recorded]:
     """Messages in the order of the times at which they were recorded, as far as each is at most
     `WINDOW` messages, or `WINDOW_BYTES`, from its place.
@@ -532,10 +521,11 @@ def _metadata(paths: tuple[str, ...]) -> Metadata | None:
     messages are compressed in a form that is not read.
     """
     metadata = metadata_of(Path(paths[0]).parent)
+    if metadata is None:
+        return None
+    # It may name the files as they were before they were compressed.
     names = {Path(path).name.removesuffix(".zstd") for path in paths}
-    if metadata is None or names != {
-        name.removesuffix(".zstd") for name in metadata.files
-    }:
+    if names != {name.removesuffix(".zstd") for name in metadata.files}:
         return None
     if metadata.mode not in ("", "none") and metadata.form not in ("", "zstd"):
         raise SourceError(f"{paths[0]}: {metadata.form} is not read; {CONVERT}")

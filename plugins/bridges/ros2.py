@@ -91,20 +91,15 @@ class Ros2Bridge(Bridge[Ros2Settings]):
     def _announce(self, patch: str) -> None:
         """Make the writers of a patch; those of a batch come with their first frame."""
         settings = self.settings
-        forms_of = dict.fromkeys(settings.maps, OF_MAPS) | {
-            Contacts.schema: OF_CONTACTS
-        }
+        quality = (settings.history, settings.reliable)
         self._announced.add(patch)
-        for schema, forms in forms_of.items():
+        for schema in (*settings.maps, Contacts.schema):
             topic = topic_of(patch, schema)
+            forms = OF_CONTACTS if schema == Contacts.schema else OF_MAPS
             for kind, (ending, message_type, _) in forms.items():
                 if kind in settings.messages:
-                    self._writers[f"{kind} {topic}"] = self._member.writer(
-                        topic + ending,
-                        message_type,
-                        settings.history,
-                        settings.reliable,
-                    )
+                    writer = self._member.writer(topic + ending, message_type, *quality)
+                    self._writers[f"{kind} {topic}"] = writer
 
     def where(self) -> str:
         return str(self._member.where)

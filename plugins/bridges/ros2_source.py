@@ -65,15 +65,8 @@ class Ros2Address(Address):
     delivers = "taxels"
     form = "ros2:/TOPIC"
     keys = (
-        "n_rows",
-        "n_cols",
-        *ARRANGED,
-        "field",
-        *TIMED,
-        "unit",
-        "f_max",
-        "missing",
-        "nan",
+        *("n_rows", "n_cols", *ARRANGED, "field", *TIMED),
+        *("unit", "f_max", "missing", "nan"),
     )
 
     def check(self) -> None:
@@ -84,9 +77,8 @@ class Ros2Address(Address):
         self.check()
         # The frames are arranged already, by the labels of the messages, too.
         remaining = self.layout.stating({key: getattr(EMPTY, key) for key in ARRANGED})
-        return DriverSource(
-            replace(self, layout=remaining), frames(self.source, self.layout)
-        )
+        address = replace(self, layout=remaining)
+        return DriverSource(address, frames(self.source, self.layout))
 
 
 class TopicFrames:
@@ -130,13 +122,13 @@ class TopicFrames:
             self._first = received
         reference = self._first
         assert self._arrangement is not None
+        fault = ""
         if received.frame_id != reference.frame_id:
-            frame_ids = f"messages of several frames: {reference.frame_id!r}, {received.frame_id!r}"
-            raise SourceError(f"{self._source}: {frame_ids[:120]}; state frame_id")
-        if not self._layout.frame_id and self._turns.add(received.number):
-            fault = (
-                f"messages of several skins: {reference.number!r}, {received.number!r}"
-            )
+            fault = f"frames: {reference.frame_id!r}, {received.frame_id!r}"
+        elif not self._layout.frame_id and self._turns.add(received.number):
+            fault = f"skins: {reference.number!r}, {received.number!r}"
+        if fault:
+            fault = f"messages of several {fault}"
             raise SourceError(f"{self._source}: {fault[:120]}; state frame_id")
         if numbers.values.shape != reference.numbers.values.shape:
             self._refuse("a shape that is not that of the first one")

@@ -53,7 +53,8 @@ def join(domain: int | None, interface: str | None, name: str) -> Any:
 def _why_no_rclpy() -> str:
     try:
         import rclpy  # noqa: F401
-    except ImportError as error:  # that of another Python, too
+    except ImportError as error:
+        # Also where it is that of another Python.
         return one_line(error)
     return ""
 

@@ -141,19 +141,7 @@ def find_pad(model: Any, site: str, path: str) -> Pad:
         )
 
     def constant(name: str, default: float, low: float, high: float) -> float:
-        numeric = f"{site}_{name}"
-        numerics = [model.numeric(i).name for i in range(model.nnumeric)]
-        if numeric not in numerics:
-            return default
-        data = np.ravel(model.numeric(numeric).data)
-        value = np.nan
-        if data.size == 1:
-            value = float(data[0])
-        if not is_real(value, low, high):
-            raise SourceError(
-                f"{path}: numeric {numeric!r}: expected one number in {low:g}..{high:g}"
-            )
-        return value
+        return _constant(model, path, f"{site}_{name}", default, (low, high))
 
     k = model.site(site).id
     # Sides of a box site are stated as halves.
@@ -179,6 +167,25 @@ def find_pad(model: Any, site: str, path: str) -> Pad:
         depth_m=constant("depth_m", MAX_DEPTH_M, 1e-5, 1.0),
         top_m=half_z,
     )
+
+
+def _constant(
+    model: Any, path: str, numeric: str, default: float, bounds: tuple[float, float]
+) -> float:
+    """The number of a numeric of the model, or the default where it has none of this name."""
+    numerics = [model.numeric(i).name for i in range(model.nnumeric)]
+    if numeric not in numerics:
+        return default
+    data = np.ravel(model.numeric(numeric).data)
+    value = np.nan
+    if data.size == 1:
+        value = float(data[0])
+    low, high = bounds
+    if not is_real(value, low, high):
+        raise SourceError(
+            f"{path}: numeric {numeric!r}: expected one number in {low:g}..{high:g}"
+        )
+    return value
 
 
 def touching_geoms(model: Any, pad: Pad, path: str) -> Any:

@@ -19,7 +19,7 @@ from sparseskin.nodes.compressor.node import Compressor
 from sparseskin.nodes.compressor.phi.base import make_phi
 from sparseskin.nodes.compressor.phi.rotation import m_of
 from sparseskin.nodes.node import Context
-from sparseskin.nodes.numerics.arrays import TINY, Floats
+from sparseskin.nodes.numerics.arrays import TINY, Doubles, Floats, Mask
 from sparseskin.nodes.reconstructor.bases.base import make_basis
 from sparseskin.nodes.reconstructor.node import Reconstructor
 from sparseskin.nodes.reconstructor.solvers.base import estimated_error
@@ -236,6 +236,7 @@ def verdict_on(world: World, answers: Iterable[tuple[Frame, Answer | None]]) -> 
     residue = 0.0
     quotients = []
     reasons: Counter[str] = Counter()
+
     for k, (frame, answer) in enumerate(answers):
         reading[k] = np.linalg.norm(frame.healthy - frame.truth) / scale[k]
         if answer is None:
@@ -252,26 +253,41 @@ def verdict_on(world: World, answers: Iterable[tuple[Frame, Answer | None]]) -> 
             excess = float((answer.forces - frame.healthy.clip(0))[is_touched].sum())
             residue = max(residue, excess / total)
 
-    is_judged = ~np.isnan(error) & (np.arange(times.end) >= world.first_judged)
-    is_wrong = is_judged & (error > WRONG) & (reading < GOOD)
-    is_right = (
-        is_judged & (error < GOOD) & ~is_empty & (np.arange(times.end) >= UNSETTLED)
-    )
-    is_late = is_judged & (norms > 0)
-    is_late &= np.arange(times.end) >= max(times.touch, world.first_judged) + UNSETTLED
+    at = np.arange(times.end)
+    is_judged = ~np.isnan(error) & (at >= world.first_judged)
+    settled_from = max(times.touch, world.first_judged) + UNSETTLED
+    is_late = is_judged & (norms > 0) & (at >= settled_from)
+    close = [bool(1 / CLOSE < quotient < CLOSE) for quotient in quotients]
+    may_be_right = ~is_empty & (at >= UNSETTLED)
+    counts = _counts(error, reading, is_judged, is_trusted, may_be_right)
     return Verdict(
         error=_median(error[is_late]),
         reading=_median(reading[is_late]),
-        frames=int(is_judged.sum()),
-        wrong=int(is_wrong.sum()),
-        silent=int((is_wrong & is_trusted).sum()),
-        right=int(is_right.sum()),
-        alarms=int((is_right & ~is_trusted).sum()),
         residue=residue,
         estimated=len(quotients),
-        close=sum(bool(1 / CLOSE < quotient < CLOSE) for quotient in quotients),
+        close=sum(close),
         reasons=dict(reasons),
+        **counts,
     )
+
+
+def _counts(
+    error: Doubles,
+    reading: Doubles,
+    is_judged: Mask,
+    is_trusted: Mask,
+    may_be_right: Mask,
+) -> dict[str, int]:
+    """Frames of a `Verdict` that are judged, wrong, silently so, right, and falsely marked."""
+    is_wrong = is_judged & (error > WRONG) & (reading < GOOD)
+    is_right = is_judged & (error < GOOD) & may_be_right
+    return {
+        "frames": int(is_judged.sum()),
+        "wrong": int(is_wrong.sum()),
+        "silent": int((is_wrong & is_trusted).sum()),
+        "right": int(is_right.sum()),
+        "alarms": int((is_right & ~is_trusted).sum()),
+    }
 
 
 def _median(values: Any) -> float | None:

@@ -24,9 +24,8 @@ def test_the_table_of_faults_has_each_reason_but_weak_and_no_other():
         line.split(" | ")[2] for line in text.splitlines() if line.startswith("| ")
     ]
     words = set(re.findall(r"`(\w+)`", " ".join(cells)))
-    assert words == set(Reason) - {
-        Reason.WEAK
-    }  # no fault: a contact that is not resolved
+    # no fault: a contact that is not resolved
+    assert words == set(Reason) - {Reason.WEAK}
 
 
 def test_the_page_of_messages_lists_the_reasons():

@@ -90,9 +90,8 @@ def test_a_clock_that_was_set_is_estimated_anew_and_times_that_run_backwards_are
     clock = ClockOffset()
     assert not clock.add(100, 200, 300, 99)  # the answer before the question
     assert not clock.add(100, 300, 200, 400)  # sent before it arrived
-    assert not clock.add(
-        100, 200, 900, 400
-    )  # held for longer than the whole exchange took
+    # held for longer than the whole exchange took
+    assert not clock.add(100, 200, 900, 400)
     assert clock.estimate(500) is None
 
 
@@ -171,6 +170,7 @@ def test_a_frame_soon_has_its_true_time(ppm, bits, tick_ns, first, rate_hz, seed
     assert 4 * state["clock_jitter_after_ms"] < state["clock_jitter_before_ms"] < 2
 
 
+# a little back: delays alone show it, in 5 s
 @pytest.mark.parametrize(
     ("set_ns", "known_s"),
     [
@@ -179,7 +179,7 @@ def test_a_frame_soon_has_its_true_time(ppm, bits, tick_ns, first, rate_hz, seed
         (
             lambda true: true - S // 50,
             6.0,
-        ),  # a little back: delays alone show it, in 5 s
+        ),
     ],
 )
 def test_a_clock_that_was_set_is_noticed_and_mapped_anew(set_ns, known_s):

@@ -52,9 +52,8 @@ class Line:
         """Send from a thread."""
 
         def run() -> None:
-            with contextlib.suppress(
-                OSError, ValueError
-            ):  # the test has closed the line
+            # the test has closed the line
+            with contextlib.suppress(OSError, ValueError):
                 for piece in pieces:
                     self.send(piece)
 

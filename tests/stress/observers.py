@@ -137,11 +137,12 @@ def commands(graph: GraphRun) -> Iterator[list[int]]:
             drain = subprocess.Popen(
                 ["cat"], stdin=process.stdout, stdout=subprocess.DEVNULL
             )
+            # the last is called first
             for end in (
                 drain.wait,
                 process.wait,
                 process.terminate,
-            ):  # the last is called first
+            ):
                 stack.callback(end)
         found = [pid for pid in graph.survivors() if pid not in own]
         stack.callback(suspending(found), False)

@@ -71,28 +71,8 @@ class CompiledVectors(Vectors):
         self._doubt_constants = kernels.DoubtConstants(
             tuning.outlying, CLEAR_RATIO, CERTAIN
         )
-        self._step_constants = kernels.StepConstants(
-            damping=tuning.damping,
-            damped_from=tuning.damped_from,
-            least_tau=tuning.least_tau,
-            most_alpha=tuning.most_alpha,
-            residual_power=tuning.residual_power,
-            rise_power=tuning.rise_power,
-            fully_averaged=tuning.fully_averaged,
-            converged=CONVERGED,
-            n_formula=N_FORMULA,
-            formula_share=FORMULA_SHARE,
-        )
-        self._filter_constants = kernels.FilterConstants(
-            prior=tuning.prior,
-            doubt=tuning.doubt,
-            recall_memory=tuning.recall_memory,
-            recall_ridge=tuning.recall_ridge,
-            motion_memory=tuning.motion_memory,
-            most_recalled=tuning.most_recalled,
-            most_confirmed=tuning.most_confirmed,
-            unknown=UNKNOWN,
-        )
+        self._step_constants = _step_constants(tuning)
+        self._filter_constants = _filter_constants(tuning)
 
         vectors = np.zeros((10, n), dtype=np.float32)
         self._estimate = kernels.Estimate(*vectors[:3])
@@ -328,6 +308,34 @@ def _weights(gates: Gates) -> kernels.Weights:
     )
     contiguous = [np.ascontiguousarray(array) for array in arrays]
     return kernels.Weights._make([*contiguous, float(gates.error_0[0])])
+
+
+def _step_constants(tuning: SkinTuning) -> kernels.StepConstants:
+    return kernels.StepConstants(
+        damping=tuning.damping,
+        damped_from=tuning.damped_from,
+        least_tau=tuning.least_tau,
+        most_alpha=tuning.most_alpha,
+        residual_power=tuning.residual_power,
+        rise_power=tuning.rise_power,
+        fully_averaged=tuning.fully_averaged,
+        converged=CONVERGED,
+        n_formula=N_FORMULA,
+        formula_share=FORMULA_SHARE,
+    )
+
+
+def _filter_constants(tuning: SkinTuning) -> kernels.FilterConstants:
+    return kernels.FilterConstants(
+        prior=tuning.prior,
+        doubt=tuning.doubt,
+        recall_memory=tuning.recall_memory,
+        recall_ridge=tuning.recall_ridge,
+        motion_memory=tuning.motion_memory,
+        most_recalled=tuning.most_recalled,
+        most_confirmed=tuning.most_confirmed,
+        unknown=UNKNOWN,
+    )
 
 
 def _limits(strictness: float) -> kernels.Limits:

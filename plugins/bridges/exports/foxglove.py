@@ -9,12 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from sparseskin.messages import (
-    Contacts,
-    Measurements,
-    Message,
-    SkinState,
-)
+from sparseskin.messages import Contacts, Measurements, Message, SkinState
 from sparseskin.messages.fields import Flag, Integer, Real
 from sparseskin.messages.frames import kinds_alone, values_alone
 from sparseskin.nodes.files import OutputError, whole_file
@@ -36,7 +31,13 @@ from sparseskin.plugins.bridges.base import (
     check_installed,
     point_columns,
 )
-from sparseskin.plugins.bridges.contacts import COLOURS, as_json, json_schema, shapes
+from sparseskin.plugins.bridges.contacts import (
+    COLOURS,
+    Shape,
+    as_json,
+    json_schema,
+    shapes,
+)
 
 FLOAT32_BYTES = 4
 Schema = str | Mapping[str, Any]
@@ -76,9 +77,8 @@ def export_foxglove(
                 writer.write_metadata("counts", {JSON_KEY: json.dumps(bag.counts)})
 
             channels = Channels(context)
-            for message, log_time_ns in streams(
-                bag, with_states(bag, frame_topics), "export"
-            ):
+            topics_read = with_states(bag, frame_topics)
+            for message, log_time_ns in streams(bag, topics_read, "export"):
                 if isinstance(message, STATES):
                     channel = channels.of(message.topic, "json")
                     channel.log(state_json(message), log_time=log_time_ns)
@@ -99,14 +99,13 @@ class Channels(dict[str, Any]):
         from foxglove import channels
 
         if topic not in self:
-            channel_of = foxglove.Channel
-            options = dict[str, Any]()
+            channel_of: Any = foxglove.Channel
+            options: dict[str, Any] = {"schema": schema}
             if schema == "json":
                 options = {"message_encoding": "json"}
             elif isinstance(schema, str):
                 channel_of = getattr(channels, f"{schema}Channel")
-            else:
-                options = {"schema": schema}
+                options = {}
             self[topic] = channel_of(topic, context=self._context, **options)
         return self[topic]
 
@@ -156,11 +155,11 @@ def contents(
 def figure_names(cls: type[Message]) -> list[str]:
     """Names of the numbers of a message class; of frames the sum first."""
     fields = kinds_alone(cls)
-    names = [
-        name for name, kind in fields.items() if isinstance(kind, Real | Integer | Flag)
-    ]
-    total = ["total_force"] if "forces" in fields else []
-    return total + [name for name in names if name not in ("run_id", "seq")]
+    names = ["total_force"] if "forces" in fields else []
+    for name, kind in fields.items():
+        if isinstance(kind, Real | Integer | Flag) and name not in ("run_id", "seq"):
+            names.append(name)
+    return names
 
 
 def figures_of(message: Message) -> dict[str, float]:
@@ -237,9 +236,6 @@ def contact_scene(message: Contacts, skin: SkinState) -> Any:
     from foxglove import messages as primitives
 
     at = _timestamp(message.stamp_ns)
-    red, green, blue, opacity = COLOURS[message.trusted[0]]
-    colour = primitives.Color(r=red, g=green, b=blue, a=opacity)
-
     # The middle of a flat skin is the origin of its frame.
     middle = np.zeros(3)
     if skin.points is None:
@@ -247,56 +243,64 @@ def contact_scene(message: Contacts, skin: SkinState) -> Any:
         middle[0] = side * (skin.n_cols - 1) / 2
         middle[1] = side * (skin.n_rows - 1) / 2
 
+    red, green, blue, opacity = COLOURS[message.trusted[0]]
+    colour = primitives.Color(r=red, g=green, b=blue, a=opacity)
+
     entities = []
     for shape in shapes(message, skin):
-        d = shape.diameter
-        centre = shape.centre - middle
-        tail = shape.tail - middle
-        length = float(np.linalg.norm(centre - tail))
-        head = min(d / 2, length)
-        turn = _turn_from_x((centre - tail) / (length or 1.0))
-        arrow = primitives.ArrowPrimitive(
-            pose=_pose(*tail, *turn),
-            shaft_length=length - head,
-            shaft_diameter=d / 4,
-            head_length=head,
-            head_diameter=d / 2,
-            color=colour,
+        entity = primitives.SceneEntity(
+            timestamp=at,
+            frame_id=message.patch,
+            id=str(shape.id),
+            **_contact_primitives(shape, middle, colour),
         )
-        sphere = primitives.SpherePrimitive(
-            pose=_pose(*centre),
-            size=primitives.Vector3(x=d, y=d, z=d / 4),
-            color=colour,
-        )
-        text = primitives.TextPrimitive(
-            pose=_pose(*tail),
-            billboard=True,
-            font_size=d,
-            color=colour,
-            text=shape.text,
-        )
-        entities.append(
-            primitives.SceneEntity(
-                timestamp=at,
-                frame_id=message.patch,
-                id=str(shape.id),
-                arrows=[arrow],
-                spheres=[sphere],
-                texts=[text],
-            )
-        )
+        entities.append(entity)
+    # Contacts that have ended would stay otherwise.
     everything = primitives.SceneEntityDeletion(
         timestamp=at, type=primitives.SceneEntityDeletionType.All
     )
     return primitives.SceneUpdate(deletions=[everything], entities=entities)
 
 
+def _contact_primitives(shape: Shape, middle: Doubles, colour: Any) -> dict[str, Any]:
+    """Primitives of a SceneEntity: arrow, sphere and text of a contact."""
+    from foxglove import messages as primitives
+
+    d = shape.diameter
+    centre = shape.centre - middle
+    tail = shape.tail - middle
+    length = float(np.linalg.norm(centre - tail))
+    head = min(d / 2, length)
+    turn = _turn_from_x((centre - tail) / (length or 1.0))
+    arrow = primitives.ArrowPrimitive(
+        pose=_pose(*tail, *turn),
+        shaft_length=length - head,
+        shaft_diameter=d / 4,
+        head_length=head,
+        head_diameter=d / 2,
+        color=colour,
+    )
+    sphere = primitives.SpherePrimitive(
+        pose=_pose(*centre),
+        size=primitives.Vector3(x=d, y=d, z=d / 4),
+        color=colour,
+    )
+    text = primitives.TextPrimitive(
+        pose=_pose(*tail),
+        billboard=True,
+        font_size=d,
+        color=colour,
+        text=shape.text,
+    )
+    return {"arrows": [arrow], "spheres": [sphere], "texts": [text]}
+
+
 def _turn_from_x(direction: Doubles) -> tuple[float, float, float, float]:
     """Quaternion x, y, z, w of the shortest turn of the x axis into a unit vector."""
     x, y, z = direction.tolist()
+    # From x to -x every turn is as short: one about z is taken.
     if x < -0.999999:
         return (0.0, 0.0, 1.0, 0.0)
-    # From x to -x every turn is as short: one about z is taken above.
     half = float(np.sqrt(2 + 2 * x))
     return (0.0, -z / half, y / half, half / 2)
 
@@ -318,9 +322,8 @@ def _fields(names: Iterable[str]) -> list[Any]:
     fields = []
     for k, name in enumerate(names):
         kind = types.Uint32 if name == ROW else types.Float32
-        fields.append(
-            PackedElementField(name=name, offset=FLOAT32_BYTES * k, type=kind)
-        )
+        offset = FLOAT32_BYTES * k
+        fields.append(PackedElementField(name=name, offset=offset, type=kind))
     return fields
 
 

@@ -71,9 +71,8 @@ class _Stream:
     @property
     def period_ns(self) -> float:
         """Mean time from a frame to the next."""
-        return float(self.times_ns[-1] - self.times_ns[0]) / max(
-            1, len(self.times_ns) - 1
-        )
+        span_ns = float(self.times_ns[-1] - self.times_ns[0])
+        return span_ns / max(1, len(self.times_ns) - 1)
 
     def newest(self, times_ns: Times, back: int = 0) -> npt.NDArray[np.intp]:
         """Number of the frame `back` before the last one at or before each time, at least 0."""
@@ -137,10 +136,8 @@ class _Episode:
                 f"{begin_s:.3f} to {end_s:.3f} s; state --offset, or the recording of that episode"
             )
         if end_ns + slack_ns < last_ns:
-            unused_s = (last_ns - end_ns) / 1e9
-            print(
-                f"{self.path}: its last {unused_s:.3f} s have no rows", file=sys.stderr
-            )
+            unused = f"its last {(last_ns - end_ns) / 1e9:.3f} s"
+            print(f"{self.path}: {unused} have no rows", file=sys.stderr)
 
     def features(self, rows_ns: Times | None) -> dict[str, Feature]:
         """Those of maps and contacts; of a dataset that has no other, with rows at these times,
@@ -167,6 +164,7 @@ class _Episode:
             states = [stream.part() for stream in self.contacts]
             features[STATE] = Feature((len(names),), names, states)
 
+        # LeRobot trains nothing without a state and an action: what is felt, and felt next.
         if rows_ns is not None:
             touched = features.setdefault(STATE, features[FORCES])
             parts = [_following(rows_ns, part) for part in touched.parts]
@@ -176,7 +174,6 @@ class _Episode:
 
 def _following(rows_ns: Times, part: Part) -> Part:
     """A block of columns at the row after each, or at the last one."""
-
     width, take_part = part
 
     def take(times_ns: Times, columns: slice) -> Floats:
@@ -242,15 +239,13 @@ def export_lerobot(
             sizes = dict[str, int]()
             episodes = []
             for bag, offset_ns in zip(bags, offsets_ns, strict=True):
-                map_topics, contact_topics = _topics_of(bag, topics)
-                maps = [
-                    _read_map(bag, topic, folder, rate, window, sizes)
-                    for topic in map_topics
-                ]
-                states = [
-                    _read_contacts(bag, topic, folder, contacts)
-                    for topic in contact_topics
-                ]
+                maps = []
+                states = []
+                for topic in _topics_of(bag, topics):
+                    if topic.endswith(f"/{Contacts.schema}"):
+                        states.append(_read_contacts(bag, topic, folder, contacts))
+                    else:
+                        maps.append(_read_map(bag, topic, folder, rate, window, sizes))
                 episodes.append(_episode(bag.path, maps, states, offset_ns))
 
             dataset = existing
@@ -296,46 +291,40 @@ def _offsets_ns(text: str, n: int) -> list[int]:
     """Offsets of n episodes."""
     with contextlib.suppress(ValueError):
         offsets_s = [float(word) for word in text.split(",")]
+        if len(offsets_s) == 1:
+            offsets_s *= n
+        # NaN is not allowed either.
         are_allowed = all(abs(seconds) <= MAX_OFFSET_S for seconds in offsets_s)
-        if are_allowed and len(offsets_s) in (1, n):
-            return [round(1e9 * seconds) for seconds in offsets_s] * (
-                n // len(offsets_s)
-            )
+        if are_allowed and len(offsets_s) == n:
+            return [round(1e9 * seconds) for seconds in offsets_s]
     raise BagError(
         f"--offset: {text[:40]!r}; allowed is a number of seconds up to {MAX_OFFSET_S}, or one for "
         f"each of {n} recordings, separated by commas"
     )
 
 
-def _topics_of(
-    bag: BagReader, topics: Iterable[str] | None
-) -> tuple[list[str], list[str]]:
+def _topics_of(bag: BagReader, topics: Iterable[str] | None) -> list[str]:
     """Topics requested; or else the reconstruction of each patch, or its taxels, and contacts."""
-    topics_found = frame_topics(bag, topics, (*FRAME_SCHEMAS, Contacts.schema))
-    contact_topics = [
-        topic for topic in topics_found if split_topic(topic)[1] == Contacts.schema
-    ]
+    readable = frame_topics(bag, topics, (*FRAME_SCHEMAS, Contacts.schema))
     if topics is not None:
-        for topic in topics_found:
-            _, schema = split_topic(topic)
-            if schema == Measurements.schema:
+        for topic in readable:
+            if topic.endswith(f"/{Measurements.schema}"):
                 raise BagError(
                     f"{topic}: measurements are no map; allowed are topics of forces"
                 )
-        return [
-            topic for topic in topics_found if topic not in contact_topics
-        ], contact_topics
+        return readable
 
     # A reconstruction goes before the taxels of its patch.
     map_of_patch: dict[str, str] = {}
     for map_schema in (Taxels.schema, Reconstruction.schema):
-        for topic in topics_found:
+        for topic in readable:
             patch, schema = split_topic(topic)
             if schema == map_schema:
                 map_of_patch[patch] = topic
     if not map_of_patch:
         raise BagError(f"{bag.path}: holds neither reconstructions nor taxels")
-    return list(map_of_patch.values()), contact_topics
+    contacts = [topic for topic in readable if topic.endswith(f"/{Contacts.schema}")]
+    return [*map_of_patch.values(), *contacts]
 
 
 def _read(
@@ -357,7 +346,8 @@ def _read(
             if values.shape != shape:
                 raise BagError(f"{bag.path}: {topic}: the shape of its frames changes")
             if stamps and message.stamp_ns <= stamps[-1]:
-                continue  # played again, or late
+                # Played again, or late.
+                continue
             file.write(np.ascontiguousarray(values, "<f4").tobytes())
             stamps.append(message.stamp_ns)
         if not stamps:
@@ -436,17 +426,11 @@ def _readme(episodes: Sequence[_Episode]) -> str:
     for stream in maps:
         skin = stream.skin
         n_rows, n_cols = stream.shape
-        about_skin: tuple[object, ...] = ("-", "-", "-")
+        about_skin = "- | - | -"
         if skin is not None:
-            about_skin = (skin.unit, f"0..{skin.f_max:g}", skin.pitch_m or "-")
-        cells = (
-            stream.key,
-            stream.size,
-            f"{n_rows} x {n_cols}",
-            *about_skin,
-            stream.topic,
-        )
-        lines.append(f"| {' | '.join(map(str, cells))} |")
+            about_skin = f"{skin.unit} | 0..{skin.f_max:g} | {skin.pitch_m or '-'}"
+        frames = f"{stream.key} | {stream.size} | {n_rows} x {n_cols}"
+        lines.append(f"| {frames} | {about_skin} | {stream.topic} |")
     if contacts:
         contact_texts = []
         for stream in contacts:

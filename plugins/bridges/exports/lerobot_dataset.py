@@ -105,19 +105,16 @@ class Dataset:
 
             self._data = sorted(root.glob("data/*/*.parquet"))
             names = ["episode_index", "timestamp"]
-            table = pa.concat_tables(
-                pq.read_table(path, columns=names) for path in self._data
-            )
+            tables = [pq.read_table(path, columns=names) for path in self._data]
+            table = pa.concat_tables(tables)
             episodes = table["episode_index"].to_numpy()
             seconds = table["timestamp"].to_numpy()
-            episodes_found, counts = np.unique(episodes, return_counts=True)
-            if not np.array_equal(
-                episodes_found, np.arange(self._info["total_episodes"])
-            ):
-                raise ValueError(
-                    f"rows of {len(episodes_found)} episodes, not of those that it states"
-                )
+            indices, counts = np.unique(episodes, return_counts=True)
+            if not np.array_equal(indices, np.arange(self._info["total_episodes"])):
+                fault = "not of those that it states"
+                raise ValueError(f"rows of {len(indices)} episodes, {fault}")
 
+            # Rows may stand in any file; those of one episode are in order.
             times_ns = self._in_ns(seconds[np.argsort(episodes, kind="stable")])
             self.times_ns = np.split(times_ns, np.cumsum(counts)[:-1])
 
@@ -137,10 +134,9 @@ class Dataset:
             self._link_files(out)
             stats_of_episodes = []
             for features, times_ns in zip(added, self.times_ns, strict=True):
-                stats = {
-                    key: feature.stats(times_ns) for key, feature in features.items()
-                }
-                stats_of_episodes.append(stats)
+                stats_of_episodes.append(
+                    {key: feature.stats(times_ns) for key, feature in features.items()}
+                )
             self._join_rows(out, added)
             self._join_episodes(out, stats_of_episodes)
             for key, feature in added[0].items():
@@ -159,17 +155,14 @@ class Dataset:
 
     def _link_files(self, out: Path) -> None:
         """Link the files that stay as they are into the folder `out`."""
-        replaced = {
-            self.root / name for name in (INFO, STATS, README, "data", "meta/episodes")
-        }
+        names = (INFO, STATS, README, "data", "meta/episodes")
+        replaced = {self.root / name for name in names}
+
+        def ignored(folder: str, names: list[str]) -> list[str]:
+            return [name for name in names if Path(folder, name) in replaced]
+
         shutil.copytree(
-            self.root,
-            out,
-            ignore=lambda folder, names: [
-                n for n in names if Path(folder, n) in replaced
-            ],
-            copy_function=_link,
-            dirs_exist_ok=True,
+            self.root, out, ignore=ignored, copy_function=_link, dirs_exist_ok=True
         )
 
     def _in_ns(self, seconds: npt.NDArray[Any]) -> Times:
@@ -201,35 +194,17 @@ class Dataset:
         import pyarrow as pa
         import pyarrow.parquet as pq
 
-        n_columns = sum(
-            width for feature in added[0].values() for width, _ in feature.parts
-        )
+        # Of a feature all rows of a block are held at once.
+        n_columns = 0
+        for feature in added[0].values():
+            n_columns += sum(width for width, _ in feature.parts)
         block = max(1, BLOCK_BYTES // (4 * n_columns))
         for path in self._data:
             writer = None
             for batch in pq.ParquetFile(path).iter_batches(block):
                 # Without the description of the columns by the package `datasets`.
                 table = pa.Table.from_batches([batch]).replace_schema_metadata(None)
-                numbers = table["episode_index"].to_numpy()
-                times_ns = self._in_ns(table["timestamp"].to_numpy())
-
-                # Rows of one episode after each other.
-                borders = [0, *(np.flatnonzero(np.diff(numbers)) + 1), len(numbers)]
-                runs = [slice(*ends) for ends in itertools.pairwise(borders)]
-                for key in added[0]:
-                    rows_of_runs = []
-                    for run in runs:
-                        feature = added[numbers[run.start]][key]
-                        rows_of_runs.append(feature.rows(times_ns[run]))
-                    rows = np.concatenate(rows_of_runs)
-                    if key in self._features:
-                        existing = table[key].combine_chunks()
-                        if pa.types.is_nested(existing.type):
-                            existing = existing.flatten()
-                        wide = np.asarray(existing).reshape(len(rows), -1)
-                        rows = np.hstack([wide, rows]).astype(np.float32)
-                    table = _set(table, key, _nested(rows))
-
+                table = self._joined_rows(table, added)
                 if writer is None:
                     target = _make(out / path.relative_to(self.root))
                     writer = pq.ParquetWriter(
@@ -238,6 +213,28 @@ class Dataset:
                 writer.write_table(table)
             if writer is not None:
                 writer.close()
+
+    def _joined_rows(self, table: Any, added: Sequence[Mapping[str, Feature]]) -> Any:
+        """Some rows with the features of their episodes."""
+        import pyarrow as pa
+
+        numbers = table["episode_index"].to_numpy()
+        times_ns = self._in_ns(table["timestamp"].to_numpy())
+        # Rows of one episode after each other.
+        borders = [0, *(np.flatnonzero(np.diff(numbers)) + 1), len(numbers)]
+        runs = [slice(*ends) for ends in itertools.pairwise(borders)]
+        for key in added[0]:
+            parts = [added[numbers[run.start]][key].rows(times_ns[run]) for run in runs]
+            rows = np.concatenate(parts)
+            # States of the dataset stand before those that are added.
+            if key in self._features:
+                existing = table[key].combine_chunks()
+                if pa.types.is_nested(existing.type):
+                    existing = existing.flatten()
+                wide = np.asarray(existing).reshape(len(rows), -1)
+                rows = np.hstack([wide, rows]).astype(np.float32)
+            table = _set(table, key, _nested(rows))
+        return table
 
     def _join_episodes(
         self, out: Path, stats_of_episodes: Sequence[Mapping[str, Stats]]
@@ -250,18 +247,15 @@ class Dataset:
             numbers = table["episode_index"].to_pylist()
             for key in stats_of_episodes[0]:
                 prefix = f"stats/{key}/"
-                stat_columns = [
-                    name for name in table.column_names if name.startswith(prefix)
-                ]
-                existing_rows = table.select(stat_columns).to_pylist()
+                columns = [n for n in table.column_names if n.startswith(prefix)]
                 rows = []
-                for k, row in zip(numbers, existing_rows, strict=True):
-                    existing = {
-                        name.removeprefix(prefix): value for name, value in row.items()
-                    }
+                for k, row in zip(
+                    numbers, table.select(columns).to_pylist(), strict=True
+                ):
+                    existing = {name.removeprefix(prefix): row[name] for name in row}
                     rows.append(_appended(existing, stats_of_episodes[k][key]))
 
-                table = table.drop_columns(stat_columns)
+                table = table.drop_columns(columns)
                 for name in rows[0]:
                     column = [np.asarray(row[name]).tolist() for row in rows]
                     table = _set(table, prefix + name, [column])
@@ -272,17 +266,11 @@ class Dataset:
         """Turn errors of reading and of contents into a BagError."""
         import pyarrow as pa
 
-        kinds = (
-            OSError,
-            LookupError,
-            TypeError,
-            ValueError,
-            AttributeError,
-            pa.ArrowException,
-        )
+        # A file of another program may hold anything in the place of each value.
+        kinds = (OSError, LookupError, TypeError, ValueError, AttributeError)
         try:
             yield
-        except kinds as error:
+        except (*kinds, pa.ArrowException) as error:
             text = " ".join(f"{type(error).__name__}: {error}".split())[:200]
             fault = f"no dataset of LeRobot that can be read: {text}"
             raise BagError(f"{self.root}: {fault}") from error
@@ -306,10 +294,8 @@ def make_dataset(root: Path, lengths: Sequence[int], fps: int) -> Dataset:
         }
         places = {"chunk_index": k // CHUNK, "file_index": k % CHUNK}
         pq.write_table(pa.table(columns), _make(root / DATA_PATH.format(**places)))
-        stats.append(
-            {name: _stats(values[:, None]) for name, values in columns.items()}
-        )
-
+        of_columns = {name: _stats(values[:, None]) for name, values in columns.items()}
+        stats.append(of_columns)
         episode = {
             "episode_index": k,
             "tasks": [TASK],
@@ -317,16 +303,14 @@ def make_dataset(root: Path, lengths: Sequence[int], fps: int) -> Dataset:
             "dataset_from_index": begins[k],
             "dataset_to_index": begins[k + 1],
         }
-        episodes.append(episode | _places_and_stats(places, stats[k]))
+        episodes.append(episode | _places_and_stats(places, of_columns))
 
-    features = {
-        name: {"dtype": str(values.dtype), "shape": [1], "names": None}
-        for name, values in columns.items()
-    }
+    features = {}
+    pooled = {}
+    for name, values in columns.items():
+        features[name] = {"dtype": str(values.dtype), "shape": [1], "names": None}
+        pooled[name] = _pooled([of_episode[name] for of_episode in stats])
     info = _info_of(lengths, fps, features)
-    pooled = {
-        key: _pooled([of_episode[key] for of_episode in stats]) for key in features
-    }
     table = pa.Table.from_pylist(episodes)
     pq.write_table(table, _make(root / "meta/episodes/chunk-000/file-000.parquet"))
     (root / INFO).write_text(json.dumps(info))
@@ -340,11 +324,9 @@ def _places_and_stats(
     places: Mapping[str, int], stats: Mapping[str, Stats]
 ) -> dict[str, Any]:
     """Columns of an episode that state its files and its statistics."""
-    columns: dict[str, Any] = {}
-    for name, place in places.items():
-        columns[f"data/{name}"] = place
-    for name in places:
-        columns[f"meta/episodes/{name}"] = 0
+    columns: dict[str, Any] = {f"data/{name}": k for name, k in places.items()}
+    # All episodes stand in one file of their own.
+    columns |= {f"meta/episodes/{name}": 0 for name in places}
     for key, of_feature in stats.items():
         for name, value in of_feature.items():
             columns[f"stats/{key}/{name}"] = value
@@ -380,22 +362,10 @@ def _write_tasks(path: Path) -> None:
     kinds = {"task_index": ("int64", "int64"), "task": ("unicode", "object")}
     columns = []
     for name, (pandas_type, numpy_type) in kinds.items():
-        columns.append(
-            {
-                "name": name,
-                "field_name": name,
-                "pandas_type": pandas_type,
-                "numpy_type": numpy_type,
-                "metadata": None,
-            }
-        )
-    about = {
-        "index_columns": ["task"],
-        "column_indexes": [],
-        "columns": columns,
-        "pandas_version": "2.0.0",
-    }
-    text = json.dumps(about)
+        types = {"pandas_type": pandas_type, "numpy_type": numpy_type}
+        columns.append({"name": name, "field_name": name, "metadata": None, **types})
+    about = {"index_columns": ["task"], "column_indexes": [], "columns": columns}
+    text = json.dumps({**about, "pandas_version": "2.0.0"})
     table = pa.table({"task_index": [0], "task": [TASK]})
     pq.write_table(table.replace_schema_metadata({"pandas": text}), path)
 
@@ -439,9 +409,9 @@ def _appended(existing: Mapping[str, Any] | None, new: Stats) -> Stats:
     """Statistics of the numbers of a feature and of those that are appended to it."""
     if not existing:
         return new
-    appended = {
-        name: np.append(existing[name], new[name]) for name in new if name in existing
-    }
+    # Older datasets state no quantiles: those of a part would be wrong.
+    names = [name for name in new if name in existing]
+    appended = {name: np.append(existing[name], new[name]) for name in names}
     return appended | {"count": new["count"]}
 
 

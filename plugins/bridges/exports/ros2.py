@@ -61,17 +61,16 @@ def export_ros2(
     skins = {patch: skin_of(bag, patch) for patch in patches}
     connections: dict[str, Any] = {}
     with whole_folder(out):
-        out.rmdir()  # the writer makes it
+        # The writer makes it.
+        out.rmdir()
         with Writer(out, version=8, storage_plugin=StoragePlugin.MCAP) as writer:
             for message, log_time_ns in streams(bag, read_topics, "export"):
-                for topic, kind, data in _messages(
-                    message, skins[message.patch], bag.path
-                ):
+                skin = skins[message.patch]
+                for topic, kind, data in _messages(message, skin, bag.path):
                     if topic not in connections:
-                        connection = writer.add_connection(
+                        connections[topic] = writer.add_connection(
                             topic, kind, typestore=cdr.types()
                         )
-                        connections[topic] = connection
                     writer.write(connections[topic], log_time_ns, data)
         return sorted(out.iterdir())
 
@@ -84,8 +83,7 @@ def _messages(
     values = values_alone(message)
     forces = values.get("forces")
     stamp = divmod(message.stamp_ns, 1_000_000_000)
-    seconds, _ = stamp
-    if seconds > _MAX_SECONDS:
+    if stamp[0] > _MAX_SECONDS:
         raise BagError(
             f"{path}: stamp {message.stamp_ns} is beyond what ROS 2 holds, 2**31 s"
         )
@@ -103,11 +101,8 @@ def _messages(
         yield f"{topic}/wrench", cdr.WRENCH, cdr.contact_wrench(stamp, message)
         yield f"{topic}/array", cdr.ARRAY, cdr.contact_array(message)
         if skin is not None:
-            yield (
-                f"{topic}/markers",
-                cdr.MARKERS,
-                cdr.contact_markers(stamp, message, skin),
-            )
+            markers = cdr.contact_markers(stamp, message, skin)
+            yield f"{topic}/markers", cdr.MARKERS, markers
     elif isinstance(message, Measurements):
         yield topic, *image(np.asarray(message.y))
     elif forces is not None:
@@ -121,5 +116,6 @@ def _messages(
             yield f"{topic}/sd", *image(values["sd"])
         if values["error"] is not None:
             yield f"{topic}/error", *scalar(FLOAT, values["error"])
+        # A frame whose error nobody estimated is trusted by default: that says nothing.
         if values["error"] is not None or not values["trusted"]:
             yield f"{topic}/trusted", *scalar(BOOL, values["trusted"])

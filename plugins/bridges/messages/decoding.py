@@ -76,14 +76,12 @@ class Decoder:
     def __init__(self, definitions: Definitions, kind: str) -> None:
         self._kind = kind
         self._is_cdr = definitions.ros == 2
-        orders = ["<"]
-        if self._is_cdr:
-            orders = list(ORDERS.values())
-        readers = {order: _Readers(definitions, order) for order in orders}
-        self._read = {
-            order: of_order.message(kind) for order, of_order in readers.items()
-        }
-        self._least_bytes = readers["<"].least_bytes(kind)
+        orders = list(ORDERS.values()) if self._is_cdr else ["<"]
+        self._read: dict[str, Read] = {}
+        for order in orders:
+            readers = _Readers(definitions, order)
+            self._read[order] = readers.message(kind)
+        self._least_bytes = readers.least_bytes(kind)
 
     def decode(self, data: bytes) -> Message:
         """Read the bytes of a message. Raises SourceError if they are none."""
@@ -150,10 +148,8 @@ class _Readers:
 
         # Types within which this one is read, so that none is nested within itself.
         self._open.append(kind)
-        members = [
-            (member.name, self._member(member))
-            for member in self._definitions.members(kind)
-        ]
+        definition = self._definitions.members(kind)
+        members = [(member.name, self._member(member)) for member in definition]
         self._open.pop()
 
         def read(data: Buffer, at: int) -> tuple[Any, int]:

@@ -79,9 +79,8 @@ class Definitions:
                 f"the definition of {printable(kind)} has {len(text)} bytes; {limit}"
             )
 
-        types_of_text = (
-            _of_idl(text) if form == "idl" else dict(_of_msg(kind, text, self.ros))
-        )
+        is_idl = form == "idl"
+        types_of_text = _of_idl(text) if is_idl else dict(_of_msg(kind, text, self.ros))
         if kind not in types_of_text:
             raise SourceError(f"the definition of {printable(kind)} does not define it")
         self._added = types_of_text | self._added
@@ -174,7 +173,8 @@ def _of_idl(text: str) -> dict[str, Members]:
         for part in parts:
             if part.strip():
                 types |= get_types_from_idl(part)
-    except Exception as error:  # of its parser, at any text
+    except Exception as error:
+        # The parser may raise anything at a text of another program.
         reason = " ".join(str(error).split())[:100]
         raise SourceError(
             f"a definition .idl cannot be read: {printable(reason)}"

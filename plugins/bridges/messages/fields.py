@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable, Iterator
+from contextlib import suppress
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -27,15 +28,8 @@ NO_READINGS = re.compile(
 )
 """Fields of messages that are no readings, where there are others."""
 NAMES = (
-    "name",
-    "names",
-    "label",
-    "labels",
-    "id",
-    "ids",
-    "index",
-    "indices",
-    "taxel_id",
+    *("name", "names", "label", "labels"),
+    *("id", "ids", "index", "indices", "taxel_id"),
 )
 """Members beside numbers that name them."""
 COMPRESSED = ("CompressedImage", "CompressedVideo", "CompressedPointCloud2")
@@ -98,9 +92,7 @@ def _names_beside(message: Message, steps: list[Step], n: int) -> tuple[str, ...
     """Names of the n numbers of a list that stand beside them, where they are in no order; ()
     where there are none. Names without a number say nothing of the order.
     """
-    if steps.count(None) > 1:
-        return ()
-    if None not in steps:
+    if steps.count(None) != 1:
         return ()
     # Beside a list, or in each entry of a list of messages.
     is_list = steps[-1] is None
@@ -115,13 +107,18 @@ def _names_beside(message: Message, steps: list[Step], n: int) -> tuple[str, ...
         texts = tuple(map(str, value))
         digits = [re.search(r"\d+", text) for text in texts]
         numbers = [int(match[0]) for match in digits if match is not None]
-        if len(texts) == n == len(numbers) == len(set(texts)) and numbers != sorted(
-            numbers
-        ):
-            return tuple(
-                f"taxel_{text}" if text.isdecimal() else text for text in texts
-            )
+        are_names = len(texts) == n == len(numbers) == len(set(texts))
+        # Names in order are those of the order of the message.
+        if are_names and numbers != sorted(numbers):
+            return tuple(map(_taxel_name, texts))
     return ()
+
+
+def _taxel_name(text: str) -> str:
+    # A bare number would pass for a place in a list.
+    if text.isdecimal():
+        return f"taxel_{text}"
+    return text
 
 
 def _value_of(message: Message, steps: list[Step]) -> list[Any]:
@@ -171,16 +168,12 @@ def paths_of(message: Message, channel: str = "") -> dict[str, Numbers]:
         )
     fields: dict[str, Numbers] = {}
     for path in only_channel(_paths(message), channel):
-        try:
+        # Lists may be empty, or of several lengths.
+        with suppress(SourceError):
             fields[path] = numbers_at(message, path)
-        except SourceError:  # empty, or of several lengths
-            continue
 
-    readings = {
-        path: numbers
-        for path, numbers in fields.items()
-        if not NO_READINGS.fullmatch(_last_name(path))
-    }
+    paths = [path for path in fields if not NO_READINGS.fullmatch(_last_name(path))]
+    readings = {path: fields[path] for path in paths}
     return readings or fields
 
 
@@ -190,9 +183,8 @@ class _Walked(NamedTuple):
     values: npt.NDArray[Any]
     axes: tuple[Axis, ...]
     is_grid: bool = False
-    has_channels: bool = (
-        False  # the last axis is a list of numbers, and no list of messages
-    )
+    # The last axis is a list of numbers, and no list of messages.
+    has_channels: bool = False
 
 
 def _walk(
@@ -347,9 +339,8 @@ def _endings(value: Any, is_listed: bool) -> Iterator[str]:
     elif isinstance(value, Message):
         for name, member in value.items():
             if name != "header":
-                yield from (
-                    f".{name}{ending}" for ending in _endings(member, is_listed)
-                )
+                for ending in _endings(member, is_listed):
+                    yield f".{name}{ending}"
     elif isinstance(value, list) and value:
         endings = list(_endings(value[0], True))
         # Numbers beside lists are about the entry: it is a skin, and no taxel.
@@ -399,10 +390,8 @@ def only_channel(paths: Iterable[str], channel: str) -> list[str]:
         axes: tuple[str, ...] = XYZ
         if not letter.islower():
             axes = tuple(axis.upper() for axis in XYZ)
-        beside = [stem + axis + brackets for axis in axes]
-        is_one_of_three = letter in axes and all(
-            sibling in all_paths for sibling in beside
-        )
-        if not is_one_of_three or letter.lower() == letter_wanted:
+        siblings = {stem + axis + brackets for axis in axes}
+        is_of_three = letter in axes and siblings.issubset(all_paths)
+        if not is_of_three or letter.lower() == letter_wanted:
             chosen_paths.append(path)
     return chosen_paths

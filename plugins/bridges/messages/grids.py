@@ -27,14 +27,8 @@ FIELDS = ("", "i1", "u1", "i2", "u2", "i4", "u4", "f4", "f8")
 """Dtypes of a field of sensor_msgs/PointCloud2, by the number of its type."""
 PLACES = re.compile(r"[xyzt]|(n|normal_)[xyz]|rgba?|ring|row|index|time.*|curvature")
 """Fields of a point cloud that are no readings."""
-ARRAYS = tuple(
-    f"std_msgs/msg/{kind}MultiArray"
-    for kind in (
-        "Float32",
-        "Float64",
-        *(f"{u}Int{n}" for u in ("", "U") for n in (8, 16, 32, 64)),
-    )
-)
+_NUMBERS = "Float32 Float64 Int8 Int16 Int32 Int64 UInt8 UInt16 UInt32 UInt64"
+ARRAYS = tuple(f"std_msgs/msg/{name}MultiArray" for name in _NUMBERS.split())
 KINDS = (IMAGE, CLOUD, *ARRAYS)
 """Types of messages that are frames by themselves."""
 MAX_NUMBERS = 16 * MAX_ELEMENTS
@@ -112,10 +106,8 @@ def _cloud(message: Message, field: str) -> Numbers:
     count = max(1, of_name["count"])
     row_step = message["row_step"]
     point_step = message["point_step"]
-    values = _cells(
-        message, row_step, point_step, of_name["offset"], readable[name], count
-    )
-
+    offset = of_name["offset"]
+    values = _cells(message, row_step, point_step, offset, readable[name], count)
     height = message["height"]
     width = message["width"]
     # An unordered cloud states a height of 1.
@@ -177,9 +169,7 @@ def _array(message: Message) -> Numbers:
     if 0 in sizes:
         raise EmptyMessageError("holds no number")
 
-    axes = tuple(
-        _axis(size, str(dim["label"])) for size, dim in zip(sizes, dims, strict=True)
-    )
+    axes = tuple(_axis(int(dim["size"]), str(dim["label"])) for dim in dims)
     strides = [int(dim["stride"]) for dim in dims]
     steps = _steps(sizes, strides, data.size - offset)
     strides_bytes = [step * data.itemsize for step in steps]
@@ -204,10 +194,11 @@ def _steps(sizes: list[int], strides: list[int], n: int) -> list[int]:
     if prod(sizes) == n:
         return [prod(sizes[at + 1 :]) for at in range(len(sizes))]
 
+    # Entries of a list must not overlap, and the last one must be among the numbers.
     steps = [*strides[1:], 1]
     spans = [size * step for size, step in zip(sizes, steps, strict=True)]
     is_nested = all(span <= step for span, step in zip(spans[1:], steps, strict=False))
-    last_place = sum((size - 1) * step for size, step in zip(sizes, steps, strict=True))
+    last_place = sum(spans) - sum(steps)
     if is_nested and last_place < n and spans[0] == n:
         return steps
 

@@ -33,7 +33,8 @@ def learn(kind: str) -> None:
         text = _text(name)
         try:
             types_of_text = get_types_from_msg(text, name)
-        except Exception as error:  # of its parser, at any text
+        except Exception as error:
+            # Of its parser, at any text.
             raise SourceError(
                 f"the definition of {printable(name)} cannot be read"
             ) from error

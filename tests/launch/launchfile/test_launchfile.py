@@ -227,9 +227,8 @@ def test_a_mutated_launch_file_is_used_or_refused_in_lines(tmp_path_factory, dat
 
 def test_a_recording_in_a_read_only_folder_is_refused(capsys, tmp_path, monkeypatch):
     out = tmp_path / "a.mcap"
-    monkeypatch.setattr(
-        "os.access", lambda path, mode: path != tmp_path
-    )  # root may write anywhere
+    # root may write anywhere
+    monkeypatch.setattr("os.access", lambda path, mode: path != tmp_path)
     assert main(["launch", "path_40", "--record", str(out)]) == 2
     assert capsys.readouterr() == ("", f"--record: {out}: cannot be written to\n")
 
@@ -250,9 +249,8 @@ def test_a_launch_file_without_its_recording_is_refused_with_a_hint(name, hint):
     assert launch_faults(name, [missing]) == [
         f"--set {missing}: missing.mcap: no such file"
     ]
-    (line,) = launch_faults(
-        "replay", ["sensor.skin=a.toml"]
-    )  # one of the recording follows
+    # one of the recording follows
+    (line,) = launch_faults("replay", ["sensor.skin=a.toml"])
     assert line == "--set sensor.skin=a.toml: a.toml: no such file"
 
 

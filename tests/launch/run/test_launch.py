@@ -231,9 +231,8 @@ def test_a_graph_that_is_too_slow_loses_frames_counts_them_and_ends(start, tmp_p
     assert frames["sensed"] == 4000
     assert frames["lost"] > 0
     missed = [sum(node["lost"].values()) for node in summary["nodes"].values()]
-    assert (
-        frames["lost"] == missed[1] + missed[2]
-    )  # at the compressor and the reconstructor
+    # at the compressor and the reconstructor
+    assert frames["lost"] == missed[1] + missed[2]
 
 
 def test_readings_outside_the_range_are_clipped_but_not_silently(start, tmp_path):

@@ -225,9 +225,8 @@ def test_a_folder_of_others_is_refused(folder, capsys, monkeypatch, prepare, fau
         assert line.endswith("SPARSESKIN_RUNTIME_DIR names another")
     context = make_context()
     config = {"name": "sensor", "endpoint": f"ipc://{folder}/1.0.sock"}
-    with pytest.raises(
-        SparseskinError, match=f"^{folder}: "
-    ):  # nor does a node bind there
+    # nor does a node bind there
+    with pytest.raises(SparseskinError, match=f"^{folder}: "):
         Network(context, config, lambda: 0, print)
     context.destroy(linger=0)
     monkeypatch.setenv("SPARSESKIN_RUNTIME_DIR", str(folder / ("x" * 100)))

@@ -137,9 +137,8 @@ def test_a_part_that_is_killed_joins_again_and_receives_latched_messages(
     desk.wait_for("[recorder] connected: sensor on edge")
     desk.kill_all()
     wait_until(lambda: not desk.survivors(), "the end of all its processes")
-    for left in tmp_path.glob(
-        "two.mcap*"
-    ):  # complete where the recorder saw its launcher end
+    # complete where the recorder saw its launcher end
+    for left in tmp_path.glob("two.mcap*"):
         left.unlink()
     again = part(start, "desk")
     again.wait_for("[recorder] connected: sensor on edge")

@@ -164,9 +164,8 @@ def test_without_a_truth_the_taxels_are_the_reference():
 @pytest.mark.parametrize("answer_first", [False, True])
 def test_without_taxels_frames_are_counted_by_their_measurements(answer_first):
     metrics = metrics_of(dataclasses.replace(skin(has_truth=False), has_taxels=False))
-    for k, seq in enumerate(
-        (0, 2, 3)
-    ):  # a frame that is not reconstructed, and two that are
+    # a frame that is not reconstructed, and two that are
+    for k, seq in enumerate((0, 2, 3)):
         if seq == 2:
             metrics.add(frame(1, None, 1.0, None)[1])
         messages = [
@@ -240,17 +239,17 @@ def test_frames_that_were_skipped_on_purpose_are_not_lost(late):
         metrics.add(measurements)
         if seq in (0, 3, 8):  # 1 and 2 are skipped; 4 to 6 are lost, 7 is skipped
             assert isinstance(reconstruction, Reconstruction)
-            skipped = (
-                {0: 5, 3: 2, 8: 1}[seq] if late or seq else 0
-            )  # 5: before it could hear
+            # 5: before it could hear
+            skipped = {0: 5, 3: 2, 8: 1}[seq] if late or seq else 0
             told = dataclasses.replace(reconstruction, skipped=skipped, seq=n_restored)
             metrics.add(told)
             n_restored += 1
             assert metrics.lost_so_far == (3 if seq == 8 else 0)
+    # frame 9 is under way
     assert (metrics.skipped, metrics.lost) == (
         3,
         3 if late else 4,
-    )  # frame 9 is under way
+    )
 
 
 def test_frames_that_are_never_reconstructed_do_not_accumulate():
@@ -485,9 +484,8 @@ def test_a_late_monitor_counts_no_frame_as_lost_before_the_first_it_compares():
         for message in messages:
             metrics.add(message)
     found = metrics.summary()["frames"]
-    assert (
-        metrics.reconstructed == 3
-    )  # by their numbers: frame 43 is lost for this reader alone
+    # by their numbers: frame 43 is lost for this reader alone
+    assert metrics.reconstructed == 3
     assert found["lost"] == metrics.lost_so_far == found["unpaired"] == 0
 
 

@@ -148,9 +148,8 @@ def test_who_is_not_let_in_gets_nothing_and_is_named(
     node.serve()
     assert node.heard == {"writer": False}
     line = next(line for line in station.lines if words in line)
-    if (
-        "list" in words
-    ):  # who shows no key may be gone before its address can be asked for
+    # who shows no key may be gone before its address can be asked for
+    if "list" in words:
         assert "turned away 127.0.0.1" in line
 
 

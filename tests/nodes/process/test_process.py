@@ -254,6 +254,5 @@ def test_what_is_skipped_on_a_socket_is_counted_and_an_end_ends(context):
     assert (node.given, node.overtaken_by_newer) == ([5, 6, 7], [0, 1, 2, 4])
     assert (counts["received"], counts["skipped"]) == ({TAXELS: 7}, {TAXELS: 4})
     assert counts["lost"] == {TAXELS: 2}
-    assert counts["refused"] == {
-        "unknown topic": 1
-    }  # the state was not dropped on its way
+    # the state was not dropped on its way
+    assert counts["refused"] == {"unknown topic": 1}

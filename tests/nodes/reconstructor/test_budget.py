@@ -115,10 +115,11 @@ def test_the_rate_that_the_skin_states_sets_the_iterations_of_the_default_alone(
 
 def test_steps_that_are_chosen_by_tiles_are_stated_and_bounded_by_their_time():
     node, phi, state = set_up(32, 1e6, True)
+    # nothing fits into a microsecond
     assert (state.max_iterations, state.frame_tiles) == (
         24,
         1,
-    )  # nothing fits into a microsecond
+    )
     node, phi, state = set_up(
         32, 1000.0, False, options={"frame_tiles": 90, "step_tiles": 10}
     )

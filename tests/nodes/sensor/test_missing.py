@@ -78,9 +78,8 @@ def test_a_driver_s_silent_cells_are_masked_until_they_give_a_number(driver):
     assert taxels[3].forces[0, 0, 0] == 0
     bus.close()
     options = [f"sensor.source={source}", "sensor.nan=mask"]
-    assert (
-        len(list(sparseskin.run_launch("replay", None, options))) == 4
-    )  # none is refused
+    # none is refused
+    assert len(list(sparseskin.run_launch("replay", None, options))) == 4
 
 
 def test_a_taxel_that_was_silent_during_the_tare_has_no_force_before_the_next_one(
@@ -188,9 +187,8 @@ def test_readings_stay_in_the_range_and_the_truth_is_left_alone():
     assert taxels.min() == 0.0
     assert taxels.max() == 2.5
     np.testing.assert_array_equal(truth, kept)
-    error = (
-        taxels[truth == 1.25].astype(float) - 1.25
-    )  # of zero mean and the stated sigma
+    # of zero mean and the stated sigma
+    error = taxels[truth == 1.25].astype(float) - 1.25
     assert abs(error.mean()) < 5 * 0.0628 / math.sqrt(error.size)
     assert error.std() == pytest.approx(0.0628, rel=0.01)
     assert not np.shares_memory(taxels, truth)

@@ -180,9 +180,8 @@ class TestUdp:
                 port, *(framing.encode(bytes([9] * 6), k << 20) for k in range(300))
             )
             board.send(framing.encode(bytes([2] * 6), 8))
-            board.send(
-                framing.encode(bytes([3] * 6), 2**31)
-            )  # no board has lost so many
+            # no board has lost so many
+            board.send(framing.encode(bytes([3] * 6), 2**31))
             assert [forces.max() for _, forces in taken(source, 2)] == [2, 3]
             (line,) = source.take_lines()
             assert line.endswith(

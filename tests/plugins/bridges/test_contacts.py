@@ -119,9 +119,8 @@ def test_shapes_point_at_contacts_on_points_along_the_force():
         made([5.0], place_mm=np.full((1, 3), 30, np.float32), normal=normal), skin
     )
     assert one.centre == pytest.approx([0.03, 0.03, 0.03])
-    assert one.tail - one.centre == pytest.approx(
-        [0, 0.5 * 5 / 25, 0]
-    )  # as long as the skin: 25 N
+    # as long as the skin: 25 N
+    assert one.tail - one.centre == pytest.approx([0, 0.5 * 5 / 25, 0])
     assert one.diameter == pytest.approx(0.03)
 
 
@@ -282,9 +281,8 @@ def frame_of(reader, k):
 
 
 def test_a_frame_comes_with_its_contacts_and_each_once(publisher, reader):
-    send(
-        publisher, 1, solved(1), contacts(2), contacts(1)
-    )  # contacts of another frame, too
+    # contacts of another frame, too
+    send(publisher, 1, solved(1), contacts(2), contacts(1))
     found = frame_of(reader, 1)
     assert found.contacts.stamp_ns == found.frame.stamp_ns
     assert np.array_equal(found.frame.forces, solved(1).forces)

@@ -143,9 +143,8 @@ def test_a_foxglove_export_has_the_contacts_as_numbers_and_as_a_scene(foxglove):
         assert [one["total"] for one in held["contacts"]] == sent.total.tolist()
         assert all(("x_mm" in one) == (k % 3 == 1) for one in held["contacts"])
         assert held["events"] == [{"id": n, "event": "begin"} for n in sent.id]
-        assert [one.type for one in scene.deletions] == [
-            1
-        ]  # all: the scene is replaced
+        # all: the scene is replaced
+        assert [one.type for one in scene.deletions] == [1]
         assert [one.id for one in scene.entities] == [str(n) for n in sent.id]
         for n, entity in enumerate(scene.entities):
             (sphere,) = entity.spheres

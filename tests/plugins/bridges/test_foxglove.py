@@ -92,9 +92,8 @@ def test_frames_of_another_shape_are_not_sent_and_a_taken_port_is_refused(bridge
 def test_hostile_requests_end_neither_server_nor_bridge(bridge):
     with FoxgloveClient(bridge.where()) as client:
         info = client.receive()
-        assert info["capabilities"] == [
-            "time"
-        ]  # neither parameters nor messages of clients
+        # neither parameters nor messages of clients
+        assert info["capabilities"] == ["time"]
         for text in (
             "",
             "[]",

@@ -270,10 +270,11 @@ def test_defaults_and_other_maps_are_as_documented(bag, tmp_path, capsys):
     assert sorted(printed) == sorted(
         str(path) for path in out.rglob("*") if path.is_file()
     )
+    # 100 Hz at 30
     assert Dataset(out).info["features"][KEY]["shape"] == [
         4,
         N_ROWS * N_COLS,
-    ]  # 100 Hz at 30
+    ]
     with BagReader(bag) as reader:
         export_lerobot(
             [reader], tmp_path / "o", ["/skin/truth", "/skin/taxels"], fps=10, window=1

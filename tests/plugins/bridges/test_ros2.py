@@ -131,9 +131,8 @@ def test_contacts_are_published_as_wrench_markers_and_array():
     for message in (skin, sent):
         list(bridge.step(message))
     for kind, (_, _, make) in OF_CONTACTS.items():
-        assert (
-            readers[kind].take(60, 1)[0].startswith(make(sent, skin))
-        )  # DDS pads to 4 bytes
+        # DDS pads to 4 bytes
+        assert readers[kind].take(60, 1)[0].startswith(make(sent, skin))
     bridge.close({})
 
 
@@ -283,9 +282,8 @@ def test_nodes_that_state_hashes_read_the_name_and_its_topics(hashes):
 )
 def test_domain_and_range_are_those_of_ros_2(variables, expected, monkeypatch):
     names = {"RANGE": "ROS_AUTOMATIC_DISCOVERY_RANGE", "ONLY": "ROS_LOCALHOST_ONLY"}
-    monkeypatch.setattr(
-        dds, "Domain", lambda *_: None
-    )  # a process can configure each once
+    # a process can configure each once
+    monkeypatch.setattr(dds, "Domain", lambda *_: None)
     monkeypatch.delenv(names["RANGE"])
     monkeypatch.setenv("ROS_DOMAIN_ID", str(DOMAIN + 30))
     for key, value in variables.items():

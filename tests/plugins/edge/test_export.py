@@ -225,9 +225,8 @@ def test_a_cortex_m4_sends_the_expected_bytes_and_its_instructions_are_counted(
     path.write_text(
         path.read_text().replace("    edge_compress(&edge, counts, frame);\n", LOOP)
     )
-    assert (
-        20000 <= printed()["instructions mean"] < 20010
-    )  # both ends are read in whole ticks
+    # both ends are read in whole ticks
+    assert 20000 <= printed()["instructions mean"] < 20010
 
 
 MASK = np.array([[True, False, True], [True, True, True]])

@@ -74,6 +74,7 @@ def test_a_ball_at_rest_is_read_as_deep_as_it_is(tmp_path, depth_m):
     assert forces == pytest.approx(expected, abs=1e-5)
 
 
+# about y: points of positive x
 @pytest.mark.parametrize(
     ("of", "speed", "down"),
     [
@@ -83,7 +84,7 @@ def test_a_ball_at_rest_is_read_as_deep_as_it_is(tmp_path, depth_m):
             4,
             2.0,
             (np.arange(8) - 3.5) * SKIN.pitch_m * 2.0,
-        ),  # about y: points of positive x
+        ),
     ],
 )
 def test_damping_acts_on_the_rate_of_penetration_of_each_point(
@@ -243,9 +244,8 @@ def test_a_model_without_a_skin_is_refused(
     assert text in refusal(
         lambda: find_address(f"mujoco:{address}").check(), SourceError
     )
-    assert [path.name for path in tmp_path.iterdir()] == [
-        "model.xml"
-    ]  # no log of MuJoCo
+    # no log of MuJoCo
+    assert [path.name for path in tmp_path.iterdir()] == ["model.xml"]
 
 
 @pytest.mark.parametrize("step_s", ["1e-12", "1000"])

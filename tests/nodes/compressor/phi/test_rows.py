@@ -95,9 +95,8 @@ def test_fixed_rows_are_the_sums_and_others_in_proportion(n, data, block, seed):
     columns = phi.dense()[
         :, phi.permutation[np.repeat(least_m(phi.sizes)[first] <= m, sizes)]
     ]
-    assert (
-        np.unique(columns.round(9), axis=1).shape == columns.shape
-    )  # none is like another
+    # none is like another
+    assert np.unique(columns.round(9), axis=1).shape == columns.shape
     check_phi(phi)
 
 

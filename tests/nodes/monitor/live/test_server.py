@@ -222,9 +222,8 @@ def test_what_a_page_of_another_site_asks_for_is_refused(site, asked):
     assert site.post(Sec_Fetch_Site=origin) == 403
     assert asked == []
     assert site.post(Sec_Fetch_Site="same-origin") == 202
-    assert (
-        site.send("GET", "/", Sec_Fetch_Site=origin).status == 200
-    )  # a link to the page
+    # a link to the page
+    assert site.send("GET", "/", Sec_Fetch_Site=origin).status == 200
 
 
 @pytest.mark.parametrize("length", ["Content-Length: {}", "Transfer-Encoding: chunked"])

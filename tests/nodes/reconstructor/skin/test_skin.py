@@ -95,9 +95,8 @@ def test_a_change_of_rounding_stays_one(rows, settings):
     )
     frames = noisy(truth)
     phis = phis_of(rows)
-    frames = np.concatenate(
-        [frames, frames[-1:].repeat(9, axis=0), frames[-9:-1]]
-    )  # some repeat
+    # some repeat
+    frames = np.concatenate([frames, frames[-1:].repeat(9, axis=0), frames[-9:-1]])
     plain, _ = reconstructed(solver_of(phis, **settings), phis, frames)
     changed, _ = reconstructed(solver_of(phis, **settings), phis, frames, change=1e-7)
     assert np.abs(changed - plain).max() < 1e-4 * plain.max()
@@ -290,9 +289,8 @@ def test_a_rough_load_that_holds_still_is_reached_and_kept(side, ratio):
     frames = rough_load(side, ratio, n_settling + 100)
     of_reading = [error for error, _, _ in frames[n_settling:]]
     assert np.median(of_reading) < 1
-    assert (
-        max(of_reading) < 4
-    )  # a frame of an estimate that has not converged has 10 and more
+    # a frame of an estimate that has not converged has 10 and more
+    assert max(of_reading) < 4
 
 
 @pytest.mark.parametrize(("side", "ratio"), SIDES_AND_RATIOS)

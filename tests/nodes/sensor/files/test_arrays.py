@@ -556,9 +556,8 @@ def test_random_and_mutated_files_never_raise_anything_else(tmp_path, data, suff
 def test_a_reading_that_is_refused_is_named_by_the_sensor_with_its_place(
     tmp_path, suffix, order
 ):
-    forces = np.asarray(
-        np.ones((40, 4, 8), np.float32), order=order
-    )  # some blocks of it
+    # some blocks of it
+    forces = np.asarray(np.ones((40, 4, 8), np.float32), order=order)
     forces[38, 3, 7] = np.nan
     raw = (
         npy(forces)

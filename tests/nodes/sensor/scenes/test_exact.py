@@ -217,9 +217,8 @@ def test_body_dragged_over_the_skin_follows_the_exact_solution():
 
     expected, _ = exact(acceleration, [0.0], times_s)
     heights = [state.q[0] for state in SceneSource(scene, 0).states()]
-    assert (
-        np.abs(heights - expected[0]).max() < slope * speed_m_s * 1e-4
-    )  # one step of the drag
+    # one step of the drag
+    assert np.abs(heights - expected[0]).max() < slope * speed_m_s * 1e-4
     assert expected[0].min() < -6e-3
 
 
