@@ -129,9 +129,8 @@ class Patch:
             self.log(warning)
         tiles = solver if isinstance(solver, CountsTiles) else None
         budget_ms = settings.budget_ms
-        follows = (
-            live and "iterations" not in options and bool(getattr(solver, "paces", ()))
-        )
+        paces = solver_fact(solver, "paces")
+        follows = live and "iterations" not in options and bool(paces)
         if budget_ms is None and follows and state.rate_hz:
             budget_ms = 1e3 * SHARE / state.rate_hz / settings.n_patches
         most_steps = sys.maxsize
@@ -140,7 +139,7 @@ class Patch:
             most_steps = alike.most_steps
             if tiles is not None and alike._tiles is not None:
                 tiles.use_times(*alike._tiles.times)
-            elif most_steps in getattr(solver, "paces", ()):
+            elif most_steps in paces:
                 solver.use_pace(most_steps)
         elif budget_ms is not None:
             n_steps = solver.n_steps
