@@ -3,6 +3,7 @@
     make mutants                                         # 40 mutants an area: three hours
     .venv/bin/python .ci/mutants.py node network --size 20
     .venv/bin/python .ci/mutants.py --draw 2             # another sample
+    .venv/bin/python .ci/mutants.py faults --tests tests/nodes/reconstructor/faults
 
 A mutant is a module with one expression changed, as mutmut changes it: an operator, a number, a
 condition, an argument left out. Two kinds are left out: texts, since a changed letter of a message
@@ -137,6 +138,12 @@ def main() -> int:
     )
     parser.add_argument("--size", type=int, default=PER_AREA, help="mutants an area")
     parser.add_argument("--draw", type=int, default=1, help="number of the sample")
+    parser.add_argument(
+        "--tests",
+        nargs="+",
+        metavar="PATH",
+        help="tests in place of the area's: a share of few tests is a bound from below",
+    )
     arguments = parser.parse_args()
     unknown = [area for area in arguments.areas if area not in AREAS]
     if unknown:
@@ -150,7 +157,7 @@ def main() -> int:
         with tempfile.TemporaryDirectory(prefix="mutants-") as folder:
             tree = Path(folder)
             _copy(tree)
-            tests = _recorded(tree, members)
+            tests = _recorded(tree, members, arguments.tests or paths)
             for name in members:
                 score = _score(
                     tree, name, tests, arguments.size, arguments.draw, explained
@@ -179,12 +186,11 @@ def interval(n_hits: int, n: int) -> tuple[float, float]:
     return centre - half, centre + half
 
 
-def _recorded(tree: Path, names: Sequence[str]) -> list[Test]:
+def _recorded(tree: Path, names: Sequence[str], patterns: Sequence[str]) -> list[Test]:
     """Run the tests of areas in a copy whose modules note what they run, and restore these."""
     modules = [module for name in names for module in _modules(name)]
     for module in modules:
         (tree / module).write_text(with_marks((ROOT / module).read_text(), module))
-    patterns = AREAS[names[0]].tests
     # In the copy: it lacks files that git does not know yet.
     tests = record(
         tree, [str(p.relative_to(tree)) for t in patterns for p in sorted(tree.glob(t))]

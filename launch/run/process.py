@@ -114,7 +114,6 @@ def start_process(
             tallies = [each.tally.fd for each in pipes]
             process = subprocess.Popen(
                 command,
-                bufsize=0,
                 stdin=channel,
                 stdout=log,
                 stderr=subprocess.STDOUT,

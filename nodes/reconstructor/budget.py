@@ -11,7 +11,7 @@ import numpy as np
 from sparseskin.nodes.compressor.phi.base import Phi
 from sparseskin.nodes.numerics.arrays import Floats
 from sparseskin.nodes.reconstructor.skin.vectors import CONVERGED, N_FORMULA
-from sparseskin.nodes.reconstructor.solvers.base import CountsTiles, Solver
+from sparseskin.nodes.reconstructor.solvers.base import CountsTiles, Solver, solver_fact
 
 LEAST_STEPS = 3
 """Steps that are done in any case by a solver without paces. Chosen."""
@@ -80,7 +80,7 @@ def steps_within(
     if isinstance(solver, CountsTiles):
         return _steps_of_tiles(solver, phi, f_max, budget_s)
     costs = measured_costs(solver, phi, f_max)
-    paces = getattr(solver, "paces", ())
+    paces = solver_fact(solver, "paces")
     if not paces:
         n_steps = costs.steps_in(budget_s, solver.n_steps)
         return n_steps, costs.of(n_steps)

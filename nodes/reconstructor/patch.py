@@ -351,8 +351,8 @@ class Patch:
 
 
 def _paces_of(solver: Solver) -> tuple[int, ...]:
-    """Numbers of steps that the rate may choose from; none of a solver of the user's own."""
-    paces: tuple[int, ...] = getattr(solver, "paces", ())
+    """Numbers of steps that the rate may choose from."""
+    paces: tuple[int, ...] = solver_fact(solver, "paces")
     return paces
 
 

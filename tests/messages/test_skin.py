@@ -14,6 +14,8 @@ from sparseskin.messages import (
     PhiState,
     ShapeError,
     SolverState,
+    decode,
+    encode,
 )
 from sparseskin.messages.fields import MAX_SIDE
 from sparseskin.messages.skin import (
@@ -124,6 +126,14 @@ def test_a_normal_has_length_1_but_for_a_thousandth(length, is_allowed):
         return
     with pytest.raises(FieldError):
         Skin(1, 2, 1.0, points=points)
+
+
+def test_a_skin_may_have_more_points_than_a_side_has_taxels():
+    n = MAX_SIDE + 4
+    points = on_points(n)
+    points[:, 0] /= n
+    message = state(n_rows=2, n_cols=n // 2, points=points)
+    assert decode(*encode(message)).skin.n_taxels == n
 
 
 def test_rows_of_points_are_whole_numbers_from_0_on():

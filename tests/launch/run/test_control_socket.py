@@ -2,6 +2,7 @@
 
 import json
 import selectors
+import signal
 import socket
 import stat
 from pathlib import Path
@@ -97,6 +98,29 @@ def test_only_watchers_receive_the_state_of_the_graph(line):
     wait_until(
         lambda: (line.serve(), not line.server.watched)[1], "the watcher to leave"
     )
+
+
+@pytest.mark.parametrize("node", ["sensor", None])
+def test_who_asks_for_a_description_receives_it_once(line, node):
+    client = line.client()
+    client.send({"describe": node})
+    assert line.receive(client) == [{"description": {"of": node}}]
+    assert line.taken == []
+    line.server.publish({"graph": {}})
+    client.send({"id": "1"})
+    assert line.receive(client) == [{"answer": {"id": "1"}}]
+
+
+def test_a_request_to_stop_is_confirmed_and_interrupts_the_launcher(line, monkeypatch):
+    raised = []
+    monkeypatch.setattr(signal, "raise_signal", raised.append)
+    client = line.client()
+    client.send({"stop": True})
+    assert line.receive(client) == [{"stopping": True}]
+    assert raised == [signal.SIGINT]
+    client.send({"stop": False, "id": "2"})
+    assert line.receive(client) == [{"answer": {"id": "2"}}]
+    assert raised == [signal.SIGINT]
 
 
 @pytest.mark.parametrize("bad", [b"{", b"[1, 2]", b"", b"\xff\xfe", b"[" * 5000])

@@ -6,8 +6,10 @@ from dataclasses import replace
 import pytest
 from played import NAMES, Stage
 
+from sparseskin.launch.run import launcher as launchers
 from sparseskin.launch.run.fleet import EXIT_FAILED, EXIT_USAGE, GRACE_S, START_S, Fleet
 from sparseskin.launch.run.launcher import Launcher
+from sparseskin.launch.run.running import RunningGraph
 from sparseskin.launch.run.state import graph_description, graph_state
 from sparseskin.launch.run.waiting import late_at_end, waits_for
 
@@ -239,7 +241,10 @@ def test_a_node_that_dies_is_started_again_where_it_was_and_as_it_was(stage):
     played.fleet.serve()
     played.says("sensor", "ready")
     played.fleet.serve()
-    assert played.commands("sensor") == ["connect", "start", "pause"]
+    received = played.received("sensor")
+    commands = [fields["command"] for fields in received]
+    assert commands == ["connect", "start", "pause"]
+    assert received[-1]["value"] is True
     assert played.node("sensor").counts["refused"] == {"late": 2}
     assert played.fleet.exit_code == 0
 
@@ -477,6 +482,26 @@ def test_a_signal_after_a_failure_leaves_its_exit_code(launcher):
     launcher.die("compressor")
     launcher.launcher._on_signal(signal.SIGINT, None)
     assert launcher.launcher._exit_code == EXIT_FAILED
+
+
+def test_nodes_end_once_the_graph_that_they_joined_is_gone(launcher, monkeypatch):
+    """It is looked for twice a second."""
+    runs = [True]
+    joined = RunningGraph("other", 7, 0, "", {})
+    launcher.launcher._joined = joined
+    monkeypatch.setattr(launchers, "is_running", lambda graph: runs[0])
+    launcher.launcher._serve()
+    assert launcher.launcher._interrupts == 0
+    runs[0] = False
+    launcher.now_s += 0.4
+    launcher.launcher._serve()
+    assert launcher.launcher._interrupts == 0
+    launcher.now_s += 0.2
+    launcher.launcher._serve()
+    assert launcher.launcher._interrupts == 1
+    launcher.now_s += 10.0
+    launcher.launcher._serve()
+    assert launcher.launcher._interrupts == 1
 
 
 def test_a_graph_that_drains_stops_its_sources_and_names_who_is_late(launcher):

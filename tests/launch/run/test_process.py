@@ -12,12 +12,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from sparseskin.launch.attach.client import ask_node
+from sparseskin.launch.launchfile.load import load
 from sparseskin.launch.run.process import (
     CHUNK_BYTES,
     LOG_BYTES,
     MAX_LINE_BYTES,
     AwakeClock,
     LogLines,
+    NodePipes,
     _added,
     exit_text,
 )
@@ -90,6 +92,17 @@ def test_a_node_may_log_100_kb_a_second_each_line_counting_100_bytes_more(n_byte
     n_cut = n_lines - n_kept + (not later)
     assert fresh[-1] == "again"
     assert [int(line.split()[0]) for line in fresh[:-1]] == [n_cut] * (n_cut > 0)
+
+
+def test_a_node_that_logs_nothing_holds_up_nobody():
+    pipes = NodePipes(load("path_40").nodes["sensor"])
+    try:
+        assert not os.get_blocking(pipes.log.fileno())
+        assert pipes.log.read(CHUNK_BYTES) is None
+    finally:
+        pipes.close_of_node()
+        pipes.channel.close()
+        pipes.log.close()
 
 
 COUNTERS = st.dictionaries(st.sampled_from("abc"), st.integers(0, 99))

@@ -396,8 +396,9 @@ def test_another_solver_in_the_middle_of_a_stream_begins_with_the_last_forces():
 
 def test_contacts_are_followed_only_where_they_are_asked_for():
     bench = Bench()
-    bench.frame(FRAMES[10])
-    assert bench.patch.contacts(7) is None
+    for k, readings in enumerate(FRAMES):
+        bench.frame(readings)
+        assert bench.patch.contacts(10_000_000 * k) is None
     bench = Bench(contacts=True)
     assert bench.patch.contacts(7) is None  # no frame yet
     for k, readings in enumerate(FRAMES):
@@ -407,6 +408,21 @@ def test_contacts_are_followed_only_where_they_are_asked_for():
     assert len(followed.fields["id"]) == 1
     touch = sliding_disc(SHAPE, 20, touch_at=3)[-1]
     assert followed.fields["total"][0] == pytest.approx(touch.sum(), rel=0.2)
+
+
+def test_contacts_keep_their_ids_where_the_solver_is_made_anew():
+    bench = Bench(contacts=True)
+    for k, readings in enumerate(FRAMES):
+        bench.frame(readings)
+        before = bench.patch.contacts(10_000_000 * k)
+    settings = ReconstructorSettings(fast="off", contacts=True)
+    state = skin_state(**SKIN)
+    bench.patch.set_up(settings, [PHI], state, announced(PHI), live=False)
+    bench.patch.set_noise(state)
+    for k in range(8):
+        bench.frame(FRAMES[-1])
+        after = bench.patch.contacts(10_000_000 * (len(FRAMES) + k))
+    assert after.fields["id"].tolist() == before.fields["id"].tolist()
 
 
 def ages(silence_ns):

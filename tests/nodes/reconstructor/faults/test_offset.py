@@ -69,6 +69,17 @@ def test_a_change_of_six_deviations_is_the_least_that_is_an_offset(n_deviations,
     assert watch.value == value
 
 
+@given(scale=st.sampled_from([1e-3, 1.0, 1e3, 1e5]), offset=st.floats(0.05, 2.0))
+def test_the_unit_of_the_readings_does_not_matter(scale, offset):
+    """As of counts of a converter, which are thousands."""
+    watch = OffsetWatch(scale * LEAST_SD)
+    for seed in range(3):
+        changed = scale * (innovation(seed) + np.float32(offset))
+        value = watch.look(PHI, changed.astype(np.float32))
+        assert value == pytest.approx(scale * offset, rel=0.2)
+    assert watch.look(PHI, (scale * innovation(3)).astype(np.float32)) == 0.0
+
+
 @given(
     before=st.floats(20.0, 50.0),
     after=st.floats(1.0, 5.9) | st.floats(6.1, 13.0),

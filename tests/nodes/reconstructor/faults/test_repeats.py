@@ -98,6 +98,16 @@ def test_ten_frames_that_change_show_that_there_is_noise():
     assert lively_after([noise(k) for k in range(11)])
 
 
+@given(place=st.integers(1, 10), part=st.floats(0.0, 0.19) | st.floats(0.21, 0.9))
+def test_the_first_frames_count_alike(place, part):
+    """Of ten that change, one repeats a part: 98 % changed if that is a fifth at most."""
+    m = 1000
+    frames = [noise(k, m) for k in range(11)]
+    n_same = int(part * m)
+    frames[place][:n_same] = frames[place - 1][:n_same]
+    assert lively_after(frames) == (n_same <= 200)
+
+
 @given(part=st.floats(0.05, 0.95))
 def test_the_part_that_changes_is_a_running_mean_of_twenty_frames(part):
     """Of frames that all change, then some of which the first part repeats."""
