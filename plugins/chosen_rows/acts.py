@@ -43,12 +43,11 @@ class ActsPhi(SubsamplePhi):
     """
 
     kind = "acts"
-    can_rotate = False  # the rows are chosen anew in each frame
+    # The rows are chosen anew in each frame.
+    can_rotate = False
     choice = "places"
     solvers = MappingProxyType(
-        {
-            "interpolation": "sparseskin.plugins.chosen_rows.interpolation:InterpolationSolver"
-        }
+        {"interpolation": f"{__package__}.interpolation:InterpolationSolver"}
     )
 
     def __init__(self, n: int, m: int, seed: int, block: int = BLOCK) -> None:

@@ -64,9 +64,7 @@ class AdaptivePhi(Phi):
 
     kind = "adaptive"
     choice = "nodes"
-    solvers = MappingProxyType(
-        {"skin": "sparseskin.plugins.chosen_rows.solver:AdaptiveSkinSolver"}
-    )
+    solvers = MappingProxyType({"skin": f"{__package__}.solver:AdaptiveSkinSolver"})
 
     def __init__(self, n: int, m: int, seed: int, block: int = BLOCK) -> None:
         super().__init__(n, m, seed, block)
@@ -118,9 +116,8 @@ class AdaptivePhi(Phi):
         try:
             nodes = self.tree.decoded(code)
         except ValueError as cause:
-            raise PhiError(
-                f"adaptive: the code of the nodes is malformed: {cause}"
-            ) from cause
+            fault = f"the code of the nodes is malformed: {cause}"
+            raise PhiError(f"adaptive: {fault}") from cause
         self.choose(nodes)
 
     def forget(self) -> None:
@@ -196,14 +193,16 @@ class HeldRows:
     def read(self, rows: Indices, values: npt.NDArray[np.floating]) -> None:
         """Process measurements of rows of W, (k,)."""
         tree = self._tree
-        tile = rows < tree.n_tiles
+        is_tile = rows < tree.n_tiles
+        tiles = rows[is_tile]
         bias: float | Doubles = self._phi.bias
+        # The sum of k taxels is normalised by sqrt(k), that of their means too.
         if tree.levels:
-            bias = bias * np.sqrt(tree.n_taxels[rows[tile]])
-        self._tiles[rows[tile]] = np.maximum(values[tile] - bias, 0)
+            bias = bias * np.sqrt(tree.n_taxels[tiles])
+        self._tiles[tiles] = np.maximum(values[is_tile] - bias, 0)
 
-        places = tree.place_of_row[rows[~tile]]
-        self._read.reshape(-1)[places] = values[~tile]
+        places = tree.place_of_row[rows[~is_tile]]
+        self._read.reshape(-1)[places] = values[~is_tile]
         self._fresh.reshape(-1)[places] = True
 
     def update(self) -> Doubles:
@@ -224,6 +223,7 @@ class HeldRows:
 
     def changed2(self) -> Doubles:
         """Return the squared change of each node's details that its sum lets expect, (n_nodes,)."""
+        # Both sums have noise, which is no change.
         change2 = np.square(self.sums - self.sums_read) - 2 * self._phi.variance
         expected: Doubles = SUM_CHANGE * np.maximum(change2, 0)
         return expected

@@ -57,17 +57,19 @@ class InterpolationSolver(Solver):
         self._unread = np.delete(np.arange(phi.n), phi.rows)
 
         # A choice that differs from frame to frame is interpolated along lines.
-        along_lines = bool(phi.choice)
-        if not along_lines:
-            read_cells = self._cells[phi.rows]
-            other_cells = self._cells[self._unread]
-            try:
-                self._corners, self._weights = interpolated_from(
-                    read_cells, other_cells
-                )
-            except QhullError:  # no area between them
-                along_lines = True
-        self._lines = LineInterpolation(self.mask) if along_lines else None
+        self._lines: LineInterpolation | None = None
+        if phi.choice:
+            self._lines = LineInterpolation(self.mask)
+            return
+        read_cells = self._cells[phi.rows]
+        other_cells = self._cells[self._unread]
+        try:
+            corners, weights = interpolated_from(read_cells, other_cells)
+            self._corners = corners
+            self._weights = weights
+        except QhullError:
+            # Cells on one line have no area between them.
+            self._lines = LineInterpolation(self.mask)
 
     def setup(self, y: Floats, warm: Floats | None = None) -> None:
         """Begin a frame; parameters and Raises as in `solve`. A warm start is not used."""
@@ -94,7 +96,8 @@ class InterpolationSolver(Solver):
         return image
 
     def reset(self) -> None:
-        self.watch = None  # no other state is carried from frame to frame
+        # Nothing else is carried from frame to frame.
+        self.watch = None
 
 
 class LineInterpolation:
@@ -123,9 +126,8 @@ class LineInterpolation:
         directions = ((i, j), (j, i), (i - j, i), (i + j, i))
         for k, (line, along) in enumerate(directions):
             cells = np.lexsort((along, line))
-            _, starts, lengths = np.unique(
-                line[cells], return_index=True, return_counts=True
-            )
+            lines = line[cells]
+            _, starts, lengths = np.unique(lines, return_index=True, return_counts=True)
             ends = starts + lengths - 1
             self._cells[k] = cells
             self._first[k] = k * n + starts.repeat(lengths)
@@ -159,20 +161,7 @@ class LineInterpolation:
 
     def _between(self, is_known: Mask, filled: Floats) -> tuple[Indices, Doubles]:
         """Return the cells that lie between known ones on some line, and their values."""
-        is_known_step = is_known[self._cells]
-
-        # The known steps before and after each, on its line or beyond it.
-        previous = np.maximum.accumulate(
-            np.where(is_known_step, self._steps, -1), axis=1
-        )
-        reversed_steps = np.where(is_known_step, self._steps, self._steps.size)[:, ::-1]
-        following = np.minimum.accumulate(reversed_steps, axis=1)[:, ::-1]
-
-        # Both must lie on the line of the step.
-        on_same_line = (previous >= self._first) & (following <= self._last)
-        steps = np.flatnonzero(on_same_line & ~is_known_step)
-        previous = previous.take(steps)
-        following = following.take(steps)
+        steps, previous, following = self._steps_between(is_known[self._cells])
 
         # Linear between the two known cells on the line of each step.
         back = steps - previous
@@ -188,6 +177,21 @@ class LineInterpolation:
         sums = np.bincount(cells, weights * on_line, is_known.size)
         between = np.flatnonzero(totals)
         return between, sums[between] / totals[between]
+
+    def _steps_between(self, is_known: Mask) -> tuple[Indices, Indices, Indices]:
+        """Return the unknown steps between known ones on their line, and the nearest of these
+        before and after each; `is_known` is of the steps, bool (4, n).
+        """
+        # The known steps before and after each, on its line or beyond it.
+        behind = np.where(is_known, self._steps, -1)
+        previous = np.maximum.accumulate(behind, axis=1)
+        ahead = np.where(is_known, self._steps, self._steps.size)[:, ::-1]
+        following = np.minimum.accumulate(ahead, axis=1)[:, ::-1]
+
+        # Both must lie on the line of the step.
+        on_same_line = (previous >= self._first) & (following <= self._last)
+        steps = np.flatnonzero(on_same_line & ~is_known)
+        return steps, previous.take(steps), following.take(steps)
 
 
 def interpolated_from(known: Doubles, wanted: Doubles) -> tuple[Indices, Floats]:

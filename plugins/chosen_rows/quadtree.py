@@ -18,24 +18,24 @@ COARSE_PART = 0.25
 """Largest part of the measurements that the sums of all tiles take. Chosen."""
 N_PARTS = 4
 N_DETAILS = 3
-_HAAR = 0.5 * np.array(
-    [[1, 1, -1, -1], [1, -1, 1, -1], [1, -1, -1, 1]], dtype=np.float64
-)
+_HAAR = np.array([[1, 1, -1, -1], [1, -1, 1, -1], [1, -1, -1, 1]]) / 2
 
 
 @dataclass(frozen=True)
 class Level:
     """Nodes of one size."""
 
-    first: int  # number of its first node
-    size: int  # number of its nodes
+    #: Number of its first node, and of its nodes.
+    first: int
+    size: int
     #: (size, 4): place of each quarter among the nodes of the next level, or the taxels on the last
     #: one; their number where there is no taxel.
     parts: Indices
     #: (size, 4): normalised sum of a node from those of its quarters, the first row of an
     #: orthonormal matrix.
     weights: Doubles
-    details: Doubles  # (size, 3, 4): the other rows; 0 where there are fewer quarters
+    #: (size, 3, 4): the other rows; 0 where there are fewer quarters.
+    details: Doubles
 
 
 class _Squares(NamedTuple):
@@ -72,18 +72,16 @@ class Quadtree:
 
         # From the tiles to the taxels; the quarters of the last nodes are taxels.
         self.levels: list[Level] = []
-        n_nodes = 0
-        for k in range(len(squares) - 1, -1, -1):
-            parts, taxels = squares[k]
-            n_below = self.n
-            if k > 0:
-                n_below = len(squares[k - 1].parts)
+        self.n_nodes = 0
+        sizes_below = [self.n, *(len(level.parts) for level in squares)]
+        for n_below, square in reversed([*zip(sizes_below, squares, strict=False)]):
+            parts, taxels = square
             weights, details = _orthonormal(taxels)
             # The place behind the last one stands for quarters that do not exist.
             places = np.where(parts >= 0, parts, n_below)
-            self.levels.append(Level(n_nodes, len(parts), places, weights, details))
-            n_nodes += len(parts)
-        self.n_nodes = n_nodes
+            level = Level(self.n_nodes, len(parts), places, weights, details)
+            self.levels.append(level)
+            self.n_nodes += level.size
 
         # A grid of one taxel has no node.
         self.n_tiles = 1
@@ -91,9 +89,8 @@ class Quadtree:
         taxels_of_quarters = np.zeros((0, N_PARTS), dtype=np.intp)
         if squares:
             self.n_tiles = self.levels[0].size
-            taxels_of_quarters = np.concatenate(
-                [level.taxels for level in reversed(squares)]
-            )
+            taxels_of_nodes = [level.taxels for level in reversed(squares)]
+            taxels_of_quarters = np.concatenate(taxels_of_nodes)
             self.n_taxels = taxels_of_quarters.sum(axis=1)
 
         # A node has one detail less than it has quarters, 0..3.
@@ -147,9 +144,8 @@ class Quadtree:
         flat = np.zeros(self.n_nodes * N_DETAILS)
         flat[self.place_of_row[self.n_tiles :]] = rows[self.n_tiles :]
         read_details = flat.reshape(-1, N_DETAILS)
-        for level, _, details in self.descend(
-            np.asarray(rows[: self.n_tiles], dtype=np.float64)
-        ):
+        tiles = np.asarray(rows[: self.n_tiles], dtype=np.float64)
+        for level, _, details in self.descend(tiles):
             details[:] = read_details[level.first : level.first + level.size]
         return self.forces
 
@@ -163,10 +159,9 @@ class Quadtree:
         # A node is marked if it or a smaller one within it is chosen.
         marked = chosen.copy()
         for upper, lower in zip(self.levels[-2::-1], self.levels[:0:-1], strict=True):
-            marked_below = np.append(
-                marked[lower.first : lower.first + lower.size], False
-            )
-            in_quarters = marked_below[upper.parts].any(axis=1)
+            below = marked[lower.first : lower.first + lower.size]
+            # Quarters that do not exist are not marked.
+            in_quarters = np.append(below, False)[upper.parts].any(axis=1)
             marked[upper.first : upper.first + upper.size] |= in_quarters
 
         bits: list[Mask] = []
@@ -265,10 +260,15 @@ def _orthonormal(taxels: Indices) -> tuple[Doubles, Doubles]:
 
     for node in np.flatnonzero(~are_equal):
         quarters = np.flatnonzero(taxels[node])
-        # A reflection that takes the weights to the first axis (Householder).
-        normal = weights[node, quarters].copy()
-        normal[0] += 1
-        projection = 2 * np.outer(normal, normal) / (normal @ normal)
-        reflection = np.eye(quarters.size) - projection
+        reflection = _reflection(weights[node, quarters])
         details[node, : quarters.size - 1, quarters] = reflection[1:].T
     return weights, details
+
+
+def _reflection(unit: Doubles) -> Doubles:
+    """An orthonormal matrix whose first row is minus a unit vector (Householder)."""
+    normal = unit.copy()
+    normal[0] += 1
+    projection = 2 * np.outer(normal, normal) / (normal @ normal)
+    matrix: Doubles = np.eye(unit.size) - projection
+    return matrix

@@ -165,9 +165,8 @@ class AdaptiveSkinSolver(Solver):
 
     def _expected(self) -> Doubles:
         """Expected squared change of each node's details since they were read."""
-        expected = self._held.changed2() + self._drift * np.minimum(
-            self._age, SATURATED
-        )
+        drifted = self._drift * np.minimum(self._age, SATURATED)
+        expected = self._held.changed2() + drifted
         # Forces are not negative: of an untouched node all are known.
         expected[self._held.sums <= self._rows_of.untouched] = 0
         return expected
@@ -192,10 +191,9 @@ class AdaptiveSkinSolver(Solver):
             quotient = min(float(change2.sum()) / total, 1.0)
             self._changed = MEMORY * self._changed + (1 - MEMORY) * quotient
 
-        drift = change2 / self._age[nodes]
-        self._drift[nodes] = (
-            DRIFT_MEMORY * self._drift[nodes] + (1 - DRIFT_MEMORY) * drift
-        )
+        change2 /= self._age[nodes]
+        drift = self._drift[nodes]
+        self._drift[nodes] = DRIFT_MEMORY * drift + (1 - DRIFT_MEMORY) * change2
         self._age[nodes] = 0
 
     def _judge(self, x: Floats) -> None:

@@ -72,10 +72,10 @@ def stream() -> Generator[float]:
     from sparseskin.studies.looped import path_40
 
     source = path_40()
-    loop = sparseskin.Stream(source.skin.shape)
-    loop.reconstruct(
-        loop.compress(np.zeros(source.skin.shape, np.float32))
-    )  # it may compile
+    shape = source.skin.shape
+    loop = sparseskin.Stream(shape)
+    # The first frame may compile.
+    loop.reconstruct(loop.compress(np.zeros(shape, np.float32)))
     loop.reset()
     begin_s = time.monotonic()
     for k, (_, frame) in enumerate(source):

@@ -38,6 +38,7 @@ N_MESSAGES = 20 * RATE_HZ
 QUICK_MESSAGES = 6 * RATE_HZ
 N_WARM_UP = 3 * RATE_HZ
 """First messages of a round, left out: a program imports, compiles and fills its caches."""
+SPARSESKIN = (sys.executable, "-m", "sparseskin")
 COMPARED = "echo"
 """The way with whose p50 in the same round each other one is compared."""
 GRAPH = f"""\
@@ -63,9 +64,8 @@ def run(out: Path, quick: bool, seed: int, executor: str) -> list[str]:
     n_messages = QUICK_MESSAGES if quick else N_MESSAGES
     rows = []
     with ExitStack() as stack:
-        folder = Path(
-            stack.enter_context(tempfile.TemporaryDirectory(prefix="sparseskin-loop-"))
-        )
+        temporary = tempfile.TemporaryDirectory(prefix="sparseskin-loop-")
+        folder = Path(stack.enter_context(temporary))
         graph = stack.enter_context(running(folder))
         commands, absent = ways(folder, graph, n_messages)
         if "ros2" in commands:
@@ -105,10 +105,13 @@ def running(folder: Path) -> Iterator[RunningGraph]:
     (folder / "loop.toml").write_text(GRAPH)
     folder_before = os.environ.get("SPARSESKIN_RUNTIME_DIR")
     os.environ["SPARSESKIN_RUNTIME_DIR"] = str(folder / "graphs")
-    words = [sys.executable, "-m", "sparseskin", "launch", "loop.toml"]
-    with subprocess.Popen(
-        words, cwd=folder, stderr=subprocess.PIPE, text=True
-    ) as process:
+    launch = subprocess.Popen(
+        [*SPARSESKIN, "launch", "loop.toml"],
+        cwd=folder,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    with launch as process:
         try:
             assert process.stderr is not None
             if not any("[launch] ready" in line for line in process.stderr):
@@ -131,16 +134,10 @@ def running(folder: Path) -> Iterator[RunningGraph]:
 @contextmanager
 def bridge(folder: Path) -> Iterator[None]:
     """The bridge to ROS 2, on the loopback interface alone."""
-    words = [
-        sys.executable,
-        "-m",
-        "sparseskin",
-        "bridge",
-        "ros2",
-        "--set",
-        f"domain={DOMAIN}",
-    ]
-    words += ["--set", f"interface={LOOPBACK}", "--set", 'maps=["reconstruction"]']
+    words = [*SPARSESKIN, "bridge", "ros2"]
+    settings = (f"domain={DOMAIN}", f"interface={LOOPBACK}", 'maps=["reconstruction"]')
+    for setting in settings:
+        words += ["--set", setting]
     log = (folder / "bridge.log").open("w")
     with log, subprocess.Popen(words, cwd=folder, stdout=log, stderr=log) as process:
         try:
@@ -181,15 +178,8 @@ def compiled(folder: Path) -> tuple[str, str]:
     if shutil.which("g++") is None:
         return "", "g++ is not installed"
     program = str(folder / "ages")
-    words = [
-        "g++",
-        "-std=c++17",
-        "-O2",
-        str(sources / "ages.cpp"),
-        "-o",
-        program,
-        "-lzmq",
-    ]
+    source = str(sources / "ages.cpp")
+    words = ["g++", "-std=c++17", "-O2", source, "-o", program, "-lzmq"]
     compiler = subprocess.run(words, capture_output=True, text=True, check=False)
     if compiler.returncode:
         return program, "libzmq3-dev is not installed"
@@ -221,13 +211,6 @@ def summary(rows: pd.DataFrame) -> pd.DataFrame:
         ages_ms = rows.loc[rows["way"] == way, "age_ms"]
         ratio = float(np.mean(p50s.loc[way] / p50s.loc[COMPARED]))
         p50, p99 = np.quantile(ages_ms, [0.5, 0.99])
-        summaries.append(
-            {
-                "way": text,
-                "p50, ms": float(p50),
-                "p99, ms": float(p99),
-                "p50 to echo": ratio,
-                "messages": len(ages_ms),
-            }
-        )
+        figures = {"p50, ms": float(p50), "p99, ms": float(p99), "p50 to echo": ratio}
+        summaries.append({"way": text, **figures, "messages": len(ages_ms)})
     return pd.DataFrame(summaries)

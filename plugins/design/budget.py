@@ -102,11 +102,11 @@ class Row:
 
 def budget(design: Design) -> list[Row]:
     """Return the row of each strategy that is possible on the skin."""
-    return [
-        row_of(strategy, design)
-        for name, strategy in STRATEGIES.items()
-        if design.n_rows is not None or name not in NO_GRID
-    ]
+    rows = []
+    for name, strategy in STRATEGIES.items():
+        if design.n_rows is not None or name not in NO_GRID:
+            rows.append(row_of(strategy, design))
+    return rows
 
 
 def row_of(strategy: Strategy, design: Design) -> Row:
@@ -155,6 +155,7 @@ def wires_of(strategy: Strategy, design: Design) -> tuple[int, int]:
     conversions = strategy.m(n, design.n_rows)
     if sums == DIGITAL or strategy.phi == "full":
         conversions = n
+    # Each taxel has a wire of its own to the amplifiers.
     if sums == ANALOG and strategy.phi != "row_local":
         return n, conversions
 

@@ -228,10 +228,8 @@ def read_bus(text: object) -> Bus:
             raise SettingsError(
                 f"{shown(text)}: expected can-fd:ARBITRATION/DATA, as can-fd:1M/5M"
             )
-    rates = tuple(
-        quantity(part.strip(), BITS_A_SECOND, "1M", LOWEST_BIT_S, HIGHEST_BIT_S)
-        for part in parts
-    )
+    allowed = (BITS_A_SECOND, "1M", LOWEST_BIT_S, HIGHEST_BIT_S)
+    rates = tuple(quantity(part.strip(), *allowed) for part in parts)
     if rates[-1] < rates[0]:
         raise SettingsError(f"{shown(text)}: data are slower than the arbitration")
     return Bus(kind, rates)
@@ -275,11 +273,11 @@ def cost(strategy: str, n_taxels: int) -> Cost:
     # Only the sizes that were measured are in the table.
     table = stored()["cost"]
     sizes = sorted(int(size) for size in table)
+    beyond_largest = max(1.0, n_taxels / sizes[-1])
     seconds = []
     for key in FIGURES:
         us = [float(table[str(size)][strategy][key]) for size in sizes]
         log_us = np.interp(math.log(n_taxels), np.log(sizes), np.log(us))
-        beyond_largest = max(1.0, n_taxels / sizes[-1])
         seconds.append(math.exp(float(log_us)) * beyond_largest * 1e-6)
     return Cost(*seconds)
 
@@ -287,9 +285,8 @@ def cost(strategy: str, n_taxels: int) -> Cost:
 @functools.cache
 def stored() -> dict[str, Any]:
     """The stored table: conditions, and `FIGURES` by taxels and strategy."""
-    return tomllib.loads(
-        (Path(__file__).parent / "costs.toml").read_text(encoding="utf-8")
-    )
+    path = Path(__file__).with_name("costs.toml")
+    return tomllib.loads(path.read_text(encoding="utf-8"))
 
 
 CORTEX_M4 = "cortex-m4"
@@ -344,11 +341,8 @@ def read_edge(text: object) -> Edge:
         return Edge(None)
     match = _matched(_M4, text)
     if match is None:
-        name = ""
-        if isinstance(text, str):
-            name = text.partition("@")[0].strip()
-        hint = ""
-        if name != CORTEX_M4:
-            hint = nearest_of(name, (CORTEX_M4, LINUX))
+        name = text.partition("@")[0].strip() if isinstance(text, str) else ""
+        # After the right name it is the clock that is wrong.
+        hint = "" if name == CORTEX_M4 else nearest_of(name, (CORTEX_M4, LINUX))
         raise SettingsError(f"{shown(text)}: expected cortex-m4@168MHz or linux{hint}")
     return Edge(quantity(match[1], CLOCK, "168MHz", 1e6, 2e9))

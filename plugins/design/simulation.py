@@ -127,11 +127,9 @@ def presses(
     """Yield (truth, readings) of one of the scenes, 0..N_SCENES - 1, newtons; see the module."""
     rng = np.random.default_rng([seed, scene, 4])
     active_part = math.exp(rng.uniform(*np.log(ACTIVE)))
+    spans_s = (RAMP_S, PAUSE_S, HELD_S)
     timing = Timing(
-        N_UNTOUCHED,
-        max(1, round(RAMP_S * rate_hz)),
-        max(1, round(PAUSE_S * rate_hz)),
-        max(1, round(HELD_S * rate_hz)),
+        N_UNTOUCHED, *(max(1, round(span_s * rate_hz)) for span_s in spans_s)
     )
     n_pressed = min(MOST_FRAMES, max(4, round(SCENE_S * rate_hz)))
     return press_frames(
@@ -282,7 +280,8 @@ def simulated(
     if n_workers > 1:
         executor = f"process:{n_workers}"
     finished = computed(executor, _simulate, tasks)
-    with closing(finished):  # it ends the workers if one of them fails
+    # Closed, it ends the workers if one of them fails.
+    with closing(finished):
         progress = tqdm(
             finished,
             "simulated",
@@ -319,9 +318,9 @@ def simulate(
         frames = presses(k, mask, noise, rate_hz, seed)
         dbs.append(np.mean(contact_db(reader, frames)))
     low, high = band(np.array(dbs))
-    touch = light_touch(
-        make_reader(strategy, mask, noise, bits, seed), mask, noise, seed
-    )
+    # A reader of its own: those of the scenes have a memory.
+    reader = make_reader(strategy, mask, noise, bits, seed)
+    touch = light_touch(reader, mask, noise, seed)
     return Accuracy(float(np.mean(dbs)), low, high, touch)
 
 

@@ -40,6 +40,7 @@ MOST_CORES = 4096
 Place: TypeAlias = "Callable[[str], str]"
 Reads: TypeAlias = "Callable[[object], Any]"
 _CORES = re.compile(r"(\d{1,4})\s*cores?", re.ASCII)
+_DIGITS = re.compile(r"\d{1,9}", re.ASCII)
 
 
 EXAMPLE = "example:"
@@ -48,9 +49,8 @@ EXAMPLE = "example:"
 
 def _placement(layout: object) -> Placement:
     """The virtual grid of a layout of points; SettingsError if it cannot be used."""
-    from sparseskin.plugins.points.placing import (
-        placed,
-    )  # with it SciPy's interpolation
+    # Imported here: with it comes SciPy's interpolation.
+    from sparseskin.plugins.points.placing import placed
 
     if not isinstance(layout, str):
         raise SettingsError(f"{shown(layout)}: expected a file, or example:torso")
@@ -100,12 +100,7 @@ class Key:
 def _whole(default: Any, about: str, form: str, low: int, high: int) -> Key:
     def read(value: object) -> int:
         # Options are texts.
-        if (
-            isinstance(value, str)
-            and value.isascii()
-            and value.isdigit()
-            and len(value) < 10
-        ):
+        if isinstance(value, str) and _DIGITS.fullmatch(value):
             value = int(value)
         if not is_whole(value, low, high):
             raise SettingsError(
@@ -204,7 +199,8 @@ def read_file(path: Path) -> dict[str, Any]:
             tree = parse_toml(file.read(1 << 17))
     except OSError as error:
         raise SettingsError(f"{path}: {error.strerror}") from error
-    except ValueError as error:  # of its text encoding, too
+    except ValueError as error:
+        # Also where its bytes are no UTF-8.
         raise SettingsError(f"{path}: no TOML: {error}") from error
     keys: dict[str, Any] = dict(tree)
     # A relative path is one from the folder of the file.
@@ -221,11 +217,10 @@ def make_design(
     their defaults. Raises SettingsError with a line for each that is not known or not allowed: what
     `place` returns for the key, value, what is allowed.
     """
-    faults = [
-        f"{place(name)}unknown key{did_you_mean(name, KEYS)}"
-        for name in stated
-        if name not in KEYS
-    ]
+    faults = []
+    for name in stated:
+        if name not in KEYS:
+            faults.append(f"{place(name)}unknown key{did_you_mean(name, KEYS)}")
     values: dict[str, Any] = dict.fromkeys(KEYS)
     for name, key in KEYS.items():
         value = stated.get(name, key.default)
@@ -300,10 +295,8 @@ def _contradiction(values: Mapping[str, Any]) -> tuple[str, str] | None:
         n_cols = values["n_cols"]
         n = n_rows * n_cols
         if not 16 <= n <= MAX_TAXELS:
-            return (
-                "n_rows",
-                f"{n_rows} x {n_cols} are {n} taxels; allowed: 16..{MAX_TAXELS}",
-            )
+            fault = f"{n_rows} x {n_cols} are {n} taxels"
+            return "n_rows", f"{fault}; allowed: 16..{MAX_TAXELS}"
     elif len(size_keys) > 1:
         return size_keys[-1], f"states the size once more; leave out {size_keys[0]}"
 

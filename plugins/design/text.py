@@ -120,14 +120,11 @@ def conclusions(rows: Sequence[Row], design: Design) -> list[str]:
     rated = [row for row in met if not math.isnan(row.accuracy.psnr_db)]
     if rated:
         best = max(rated, key=lambda row: row.accuracy.psnr_db)
-        lines.append(
-            f"The most accurate that reaches it: {_named(best)}, {_beside(best, full)}."
-        )
+        costs = f"{_named(best)}, {_beside(best, full)}"
+        lines.append(f"The most accurate that reaches it: {costs}.")
     small = min(met, key=lambda row: row.n_bytes)
-    lines.append(
-        f"The fewest bytes that reach it: {_named(small)}, {_beside(small, full)}."
-    )
-    return lines
+    costs = f"{_named(small)}, {_beside(small, full)}"
+    return [*lines, f"The fewest bytes that reach it: {costs}."]
 
 
 def _named(row: Row) -> str:
@@ -164,19 +161,16 @@ def _table(rows: Sequence[Row]) -> str:
         heads = heading.partition("\n")[::2]
         cells = [*heads, *(text(row) for row in rows)]
         width = max(map(len, cells))
-        is_words = heading in ("way to read", "limit")
-        columns.append(
-            [cell.ljust(width) if is_words else cell.rjust(width) for cell in cells]
-        )
+        align = str.ljust if heading in ("way to read", "limit") else str.rjust
+        columns.append([align(cell, width) for cell in cells])
     return "\n".join("  ".join(cells).rstrip() for cells in zip(*columns, strict=True))
 
 
 def terminal(rows: Sequence[Row], design: Design) -> str:
     """The table of a design, what breaks first and notes, for a terminal."""
-    breaking = [
-        f"{_filled(', '.join(names))}\n  {text}"
-        for text, names in first_breaks(rows, design)
-    ]
+    breaking = []
+    for text, names in first_breaks(rows, design):
+        breaking.append(f"{_filled(', '.join(names))}\n  {text}")
     parts = [
         _filled(
             f"{design.size}, {design.pitch_m * 1e3:.4g} mm apart; ADC {design.adc.label}; "

@@ -87,9 +87,8 @@ def _export(arguments: argparse.Namespace) -> int:
         mask = skin.mask
     elif n_rows is None or n_cols is None:
         missing = "--n-rows" if n_rows is None else "--n-cols"
-        raise SettingsError(
-            f"{missing}: is missing; state --n-rows and --n-cols, or --skin"
-        )
+        allowed = "state --n-rows and --n-cols, or --skin"
+        raise SettingsError(f"{missing}: is missing; {allowed}")
 
     with naming_options(_OPTIONS):
         described = EdgeDescription.chosen(

@@ -184,11 +184,7 @@ class EdgeDescription(Settings):
         """The matrix of each row subset."""
         phi = SbhePhi(self.n_taxels, self.m, self.seed, self.block, self.rule)
         phis = row_subsets(phi, self.rows)
-        return [
-            phi_of_subset
-            for phi_of_subset in phis
-            if isinstance(phi_of_subset, SbhePhi)
-        ]
+        return [subset for subset in phis if isinstance(subset, SbhePhi)]
 
     @cached_property
     def tags(self) -> dict[int, str]:
@@ -204,12 +200,11 @@ class EdgeDescription(Settings):
 
     def to_toml(self) -> str:
         """Return the text of `edge.toml`."""
-        values: dict[str, Any] = {
-            "version": FILE_VERSION,
-            **{field.name: getattr(self, field.name) for field in fields(self)},
-            "fingerprint": self.phi.fingerprint,
-        }
+        values: dict[str, Any] = {"version": FILE_VERSION}
+        values |= {field.name: getattr(self, field.name) for field in fields(self)}
+        # A text a row is written below, as a person reads it.
         del values["mask"]
+        values["fingerprint"] = self.phi.fingerprint
         lines = [
             "# What the program of this folder measures: the settings `source` and `description`",
             "# of a node of type edge read it.",
@@ -248,14 +243,15 @@ class EdgeDescription(Settings):
         for field in fields(cls):
             if field.name not in {*values, "mask"}:
                 raise SettingsError(f"{field.name}: is missing")
-        if description.phi.fingerprint != fingerprint:
+        fingerprint_here = description.phi.fingerprint
+        if fingerprint_here != fingerprint:
             seed = description.seed
             raise SettingsError(
-                f"fingerprint: {fingerprint!r}, but seed {seed} gives Phi "
-                f"{description.phi.fingerprint} here: the file was changed, or the generators "
-                "differ"
+                f"fingerprint: {fingerprint!r}, but seed {seed} gives Phi {fingerprint_here} here: "
+                "the file was changed, or the generators differ"
             )
-        _ = description.tags  # it raises if two are the same
+        # Read now, as it raises if two tags are the same.
+        _ = description.tags
         return description
 
 
@@ -299,9 +295,8 @@ def frame_bytes(
     `phi`; `y`: measurements (m,) in counts, of `description.bits` bits.
     """
     head = _HEAD.pack(VERSION, int(phi[:8], 16), y.step)
-    return framing_of(description).encode(
-        head + packed(y.codes(), description.bits), seq
-    )
+    payload = head + packed(y.codes(), description.bits)
+    return framing_of(description).encode(payload, seq)
 
 
 def compressed(

@@ -17,14 +17,8 @@ from .description import Counts, EdgeDescription, compressed
 
 DESCRIPTION = "edge.toml"
 COPIED = (
-    *(
-        "edge.h",
-        "edge.c",
-        "edge_tables.h",
-        "edge_check.h",
-        "edge_check.c",
-        "edge_test.c",
-    ),
+    *("edge.h", "edge.c", "edge_tables.h"),
+    *("edge_check.h", "edge_check.c", "edge_test.c"),
     *("edge_stream.c", "Makefile", "cortex_m4/main.c", "cortex_m4/link.ld"),
     *("avr/main.c", "arduino/arduino.ino"),
 )
@@ -61,14 +55,8 @@ def config(description: EdgeDescription) -> str:
     d = description
     step_of_zeros = int(np.float32(SMALLEST / largest_code(d.bits)).view(np.uint32))
     attributes = (
-        "n_rows",
-        "n_cols",
-        "n_cells",
-        "n_taxels",
-        "m",
-        "bits",
-        "count_bytes",
-        "frame_bytes",
+        *("n_rows", "n_cols", "n_cells", "n_taxels"),
+        *("m", "bits", "count_bytes", "frame_bytes"),
     )
     numbers = {name.upper(): getattr(d, name) for name in attributes}
     numbers |= {
@@ -90,13 +78,13 @@ def tables(description: EdgeDescription) -> str:
     d = description
     groups = []
     for size, count in _groups(d):
-        scale = np.reciprocal(np.sqrt(np.float32(size)))  # as SbhePhi rounds it
+        # In float32, as SbhePhi rounds it.
+        scale = np.reciprocal(np.sqrt(np.float32(size)))
         mantissa, exponent = np.frexp(scale)
         log2_size = size.bit_length() - 1
         fraction = int(np.ldexp(float(mantissa), 32))
-        groups.append(
-            f"{{{count}, {log2_size}, {int(exponent) - 1}, 0x{fraction:08x}u}}"
-        )
+        shift = int(exponent) - 1
+        groups.append(f"{{{count}, {log2_size}, {shift}, 0x{fraction:08x}u}}")
 
     # A bit for each row of the Hadamard transform, set if it is measured.
     rows = []
@@ -132,14 +120,8 @@ def readme(description: EdgeDescription) -> str:
         of_mask = f", {d.n_taxels} of which hold a taxel"
     tags = ", ".join(f"`{tag:08x}`" for tag in d.tags)
     attributes = (
-        "n_rows",
-        "n_cols",
-        "m",
-        "rows",
-        "bits",
-        "full_scale",
-        "code_bytes",
-        "frame_bytes",
+        *("n_rows", "n_cols", "m", "rows"),
+        *("bits", "full_scale", "code_bytes", "frame_bytes"),
     )
     values = {name: getattr(d, name) for name in attributes}
     values |= {

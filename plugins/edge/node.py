@@ -14,6 +14,7 @@ from sparseskin.messages.skin import Skin
 from sparseskin.nodes.errors import SourceError
 from sparseskin.nodes.lookup import did_you_mean, suggestion
 from sparseskin.nodes.node import Context, SourceNode, Tick
+from sparseskin.nodes.numerics.arrays import Floats
 from sparseskin.nodes.settings import PatchSettings, naming, setting
 from sparseskin.plugins.boards.settings import read_settings, split_source
 from sparseskin.plugins.boards.source import Board, BoardSource, naming_board
@@ -51,10 +52,12 @@ def describe_wire(source: str, description: EdgeDescription, skin: Skin) -> Boar
         if kind == "udp":
             UdpPort.check(address, settings)
     framing = framing_of(description)
-    # A payload is taken whole: nothing is decoded.
-    return Board(
-        name, kind, address, settings, lambda *_: np.empty(0, np.float32), framing, skin
-    )
+    return Board(name, kind, address, settings, _undecoded, framing, skin)
+
+
+def _undecoded(*_: object) -> Floats:
+    """No readings: a payload is taken whole."""
+    return np.empty(0, np.float32)
 
 
 class EdgeWire(BoardSource):
@@ -128,27 +131,23 @@ class Edge(SourceNode[EdgeSettings]):
         self._n_logged = 0
         self._stamp_ns = 0
         with naming("source"):
-            self._wire = EdgeWire(
-                describe_wire(settings.source, self._described, self.skin)
-            )
+            board = describe_wire(settings.source, self._described, self.skin)
+            self._wire = EdgeWire(board)
 
     @classmethod
     def outputs(cls, settings: EdgeSettings) -> tuple[str, ...]:
-        return tuple(
-            topic_of(settings.patch, cls.schema)
-            for cls in (SkinState, PhiState, Measurements)
-        )
+        messages = (SkinState, PhiState, Measurements)
+        return tuple(topic_of(settings.patch, message.schema) for message in messages)
 
     @classmethod
     def facts(cls, settings: EdgeSettings) -> Mapping[str, Any]:
         described = EdgeDescription.read(Path(settings.description))
+        skin, phi, measurements = cls.outputs(settings)
+        rows_and_m = (described.rows, described.m)
         return {
-            topic_of(settings.patch, SkinState.schema): described.n_taxels,
-            topic_of(settings.patch, PhiState.schema): described.phi.kind,
-            topic_of(settings.patch, Measurements.schema): lambda n: (
-                described.rows,
-                described.m,
-            ),
+            skin: described.n_taxels,
+            phi: described.phi.kind,
+            measurements: lambda n: rows_and_m,
         }
 
     def start(self) -> Iterable[Message]:
@@ -230,11 +229,8 @@ class Edge(SourceNode[EdgeSettings]):
         return text
 
     def report(self) -> dict[str, Any]:
-        figures = {
-            **self._wire.figures(),
-            "frames": self._n_frames,
-            "other_matrix": self._n_other,
-        }
+        figures = self._wire.figures()
+        figures |= {"frames": self._n_frames, "other_matrix": self._n_other}
         return {**self._wire.report(), "board": figures}
 
     def close(self, counts: dict[str, Any]) -> None:
