@@ -41,9 +41,8 @@ class _Points(PointSkins):
             {"name": f"{EXAMPLE}{name}", "about": about(make)}
             for name, make in EXAMPLES.items()
         ]
-        title = (
-            "layouts: for sensor.points; or a file of places, .csv or an iCub's .txt"
-        )
+        about_files = "or a file of places, .csv or an iCub's .txt"
+        title = f"layouts: for sensor.points; {about_files}"
         return (Listing("layouts", title, entries),)
 
 

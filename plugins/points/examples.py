@@ -15,7 +15,7 @@ Layout = tuple[Doubles, Doubles]
 
 TORSO_POINTS = 4000
 _TORSO = np.array(
-    [  # height, half width and half depth in metres: waist, chest, shoulders, neck
+    [
         (0.00, 0.150, 0.100),
         (0.15, 0.155, 0.105),
         (0.32, 0.190, 0.125),
@@ -24,7 +24,8 @@ _TORSO = np.array(
         (0.54, 0.075, 0.065),
     ]
 )
-"""Elliptic sections of the torso, chosen: about those of an adult."""
+"""Elliptic sections of the torso from waist to neck: height, half width and half depth, metres.
+Chosen: about those of an adult."""
 _AROUND = np.linspace(-np.pi, np.pi, 721)
 """Angles at which the way around a ring is summed."""
 GRIP_RADIUS_M = 0.035
@@ -32,12 +33,13 @@ GRIP_LENGTH_M = 0.1
 GRIP_PITCH_M = 0.005
 
 
-def torso(n: int = TORSO_POINTS) -> Layout:
-    """A torso, rings of taxels from waist to neck, open at both ends: n taxels.
+def torso() -> Layout:
+    """A torso, rings of taxels from waist to neck, open at both ends: `TORSO_POINTS` taxels.
 
     All taxels are about equally far apart, so that rings have different numbers of them, as many
     as their length holds: where it changes, the lattice has dislocations.
     """
+    n = TORSO_POINTS
     # The largest pitch at which there are n, to a nanometre.
     low = 0.002
     high = 0.1
@@ -77,10 +79,8 @@ def torso(n: int = TORSO_POINTS) -> Layout:
 
 def _sections() -> tuple[PchipInterpolator, PchipInterpolator]:
     """Half width and half depth of the torso by its height, metres."""
-    heights = _TORSO[:, 0]
-    return PchipInterpolator(heights, _TORSO[:, 1]), PchipInterpolator(
-        heights, _TORSO[:, 2]
-    )
+    heights, widths, depths = _TORSO.T
+    return PchipInterpolator(heights, widths), PchipInterpolator(heights, depths)
 
 
 def _rings(pitch: float) -> tuple[Doubles, Indices, Doubles]:
@@ -89,12 +89,13 @@ def _rings(pitch: float) -> tuple[Doubles, Indices, Doubles]:
 
     # The way up the skin, the mean of that at the side and that in front.
     z = np.linspace(_TORSO[0, 0], _TORSO[-1, 0], 2000)
-    side_steps = np.hypot(np.diff(widths(z)), np.diff(z))
-    front_steps = np.hypot(np.diff(depths(z)), np.diff(z))
-    steps = np.mean([side_steps, front_steps], axis=0)
-    height_way = np.concatenate([[0.0], np.cumsum(steps)])
-    stops = np.arange(0, height_way[-1], pitch)
-    heights = np.interp(stops, height_way, z)
+    rise = np.diff(z)
+    side_steps = np.hypot(np.diff(widths(z)), rise)
+    front_steps = np.hypot(np.diff(depths(z)), rise)
+    steps = (side_steps + front_steps) / 2
+    way_up = np.concatenate([[0.0], np.cumsum(steps)])
+    stops = np.arange(0, way_up[-1], pitch)
+    heights = np.interp(stops, way_up, z)
 
     # A ring has three taxels at least.
     ways = _around_ellipses(widths(heights), depths(heights))

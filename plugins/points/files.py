@@ -85,6 +85,7 @@ def estimated_normals(places: Doubles) -> Doubles:
     Hoppe et al., "Surface reconstruction from unorganized points", SIGGRAPH 1992.
     """
     n = len(places)
+    # Two points have no plane: they lie flat.
     if n < 3:
         return np.tile([0.0, 0.0, 1.0], (n, 1))
 
@@ -137,9 +138,8 @@ def load_points(layout: str) -> Points:
     if layout.startswith(EXAMPLE):
         name = layout.removeprefix(EXAMPLE)
         if name not in EXAMPLES:
-            raise SourceError(
-                f"{layout}: no such example{did_you_mean(name, EXAMPLES)}"
-            )
+            hint = did_you_mean(name, EXAMPLES)
+            raise SourceError(f"{layout}: no such example{hint}")
         places, normals = EXAMPLES[name]()
         order = np.arange(len(places))
         return Points(name, places, normals, order, len(places), layout=layout)
@@ -266,9 +266,9 @@ def _points(
     notes: tuple[str, ...],
 ) -> Points:
     """The layout, with normals of length 1; those that are not stated, or 0, are estimated."""
-    n = len(places)
-    check_places(name, places)  # before normals are estimated of them
-    lengths = np.zeros(n)
+    # Checked before normals are estimated from them.
+    check_places(name, places)
+    lengths = np.zeros(len(places))
     if normals.size:
         lengths = np.linalg.norm(normals, axis=1)
     is_unknown = lengths < _LEAST_NORMAL
@@ -284,22 +284,18 @@ def _points(
         of_some = ""
         if not is_unknown.all():
             of_some = f" of {np.count_nonzero(is_unknown)} taxels"
-        notes = (
-            *notes,
-            f"the normals{of_some} are estimated from the places of neighbours",
-        )
+        estimated = "are estimated from the places of neighbours"
+        notes = (*notes, f"the normals{of_some} {estimated}")
     is_stated = ~is_unknown
     if is_stated.any():
         unit[is_stated] = normals[is_stated] / lengths[is_stated, None]
 
-    if n > 1:
+    if len(places) > 1:
         distances, _ = cKDTree(places).query(places, 2)
         nearest = float(np.median(distances[:, 1]))
         if nearest and not USUAL_M[0] <= nearest <= USUAL_M[1]:
-            notes = (
-                *notes,
-                f"taxels are {1000 * nearest:.3g} mm apart: is the unit right?",
-            )
+            distance = f"taxels are {1000 * nearest:.3g} mm apart"
+            notes = (*notes, f"{distance}: is the unit right?")
 
     layout = str(Path(name).resolve())
     return Points(Path(name).stem, places, unit, slots, n_slots, notes, layout)

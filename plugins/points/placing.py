@@ -71,19 +71,13 @@ class Placement:
         """The skin of this grid with a range."""
         mask = np.zeros(self.shape, dtype=np.bool_)
         mask.reshape(-1)[self.cells] = True
+        # Taxels are numbered row by row of the grid.
         order = np.argsort(self.cells)
         rows = np.concatenate([self.points.places, self.points.normals], axis=1)[order]
         points = np.ascontiguousarray(rows, dtype=np.float32)
         exists = None if mask.all() else mask
-        return Skin(
-            *self.shape,
-            f_max,
-            unit,
-            self.pitch_m,
-            exists,
-            points,
-            self.point_rows(mask),
-        )
+        of_points = (points, self.point_rows(mask))
+        return Skin(*self.shape, f_max, unit, self.pitch_m, exists, *of_points)
 
     def point_rows(self, exists: Mask) -> npt.NDArray[np.int32]:
         """Row of each taxel of a mask of the grid among those of the file, int32 (n_taxels,)."""
@@ -100,10 +94,8 @@ class Placement:
         """Number of taxels, grid and distance, and the notes on the points, for a log."""
         parts = f", {self.n_parts} parts" if self.n_parts > 1 else ""
         grid = f"{self.shape[0]} x {self.shape[1]}{parts}, {1000 * self.pitch_m:.3g} mm apart"
-        lines = [
-            f"{self.points.n} taxels on a virtual grid of {grid}",
-            *self.points.notes,
-        ]
+        about = f"{self.points.n} taxels on a virtual grid of {grid}"
+        lines = [about, *self.points.notes]
         return [f"{self.points.name}: {line}" for line in lines]
 
     def check_size(self, n_readings: int) -> None:
@@ -211,12 +203,13 @@ def _lattice_of_part(places: Doubles, normals: Doubles, edges: Edges) -> Doubles
         return _upright(cells, places, SQUARE)
 
     # Steps to the neighbours in the axes of the lattice, in its spacing.
+    a = edges.a
+    b = edges.b
     spacing = _spacing(plane, edges)
-    spacing_of_edge = 0.5 * (spacing[edges.a] + spacing[edges.b])
-    angle_of_edge = angle[edges.a] + 0.5 * _wrapped(
-        angle[edges.b] - angle[edges.a], order
-    )
-    steps = plane[edges.b] - plane[edges.a]
+    spacing_of_edge = 0.5 * (spacing[a] + spacing[b])
+    # The mean of two angles that are known up to a turn of the lattice.
+    angle_of_edge = angle[a] + 0.5 * _wrapped(angle[b] - angle[a], order)
+    steps = plane[b] - plane[a]
     steps = _turned(steps, -angle_of_edge) / spacing_of_edge[:, None]
     steps = steps @ np.linalg.inv(_AXES[order]).T
     lattice = _joined(steps, edges, n)
@@ -229,9 +222,8 @@ def _squarest(plane: Doubles) -> Doubles:
     def area(turned: Doubles) -> float:
         return float(np.prod(np.ptp(turned, axis=0)))
 
-    turns = [
-        _turned(plane, np.full(len(plane), angle)) for angle in np.radians(range(90))
-    ]
+    # Beyond a quarter turn the rectangles are the same again.
+    turns = [_turned(plane, angle) for angle in np.radians(range(90))]
     return min(turns, key=area)
 
 
@@ -249,8 +241,10 @@ def _spacing(plane: Doubles, edges: Edges) -> Doubles:
     length = np.linalg.norm(plane[edges.b] - plane[edges.a], axis=1)
     nearest = np.full(n, np.inf)
     np.minimum.at(nearest, edges.a, length)
-    typical = np.median(nearest[np.isfinite(nearest)])
-    nearest[~np.isfinite(nearest)] = typical
+    has_neighbour = np.isfinite(nearest)
+    typical = np.median(nearest[has_neighbour])
+    nearest[~has_neighbour] = typical
+    # Two points at almost one place say nothing of the lattice.
     np.maximum(nearest, 0.5 * typical, out=nearest)
 
     count = np.bincount(edges.a, minlength=n) + 1
@@ -285,14 +279,15 @@ def _orientation(plane: Doubles, edges: Edges) -> tuple[int, Doubles]:
         np.add.at(field, a, np.exp(1j * order * direction))
         # The mean of cos(order x angle between two neighbours of a point): 0 for any directions.
         cosine = float((np.abs(field) ** 2 - count).sum() / n_pairs)
+        if cosine <= best_cosine:
+            continue
         for _ in range(N_SMOOTHED):
             total = field.copy()
             np.add.at(total, a, field[b])
             field = total / (np.maximum(count, 1) + 1)
-        if cosine > best_cosine:
-            best_order = order
-            best_angle = np.angle(field) / order
-            best_cosine = cosine
+        best_order = order
+        best_angle = np.angle(field) / order
+        best_cosine = cosine
 
     if not best_order:
         return 0, best_angle
@@ -319,7 +314,8 @@ def _wrapped(angle: Doubles, order: int) -> Doubles:
     return (angle + period / 2) % period - period / 2
 
 
-def _turned(steps: Doubles, angle: Doubles) -> Doubles:
+def _turned(steps: Doubles, angle: Doubles | float) -> Doubles:
+    """Steps, (n, 2), turned by an angle each, or by one."""
     cos = np.cos(angle)
     sin = np.sin(angle)
     x, y = steps.T
@@ -355,8 +351,7 @@ def _upright(lattice: Doubles, places: Doubles, order: int) -> Doubles:
     centred = flat - flat.mean(axis=0)
     (slope_x, slope_y), _, _, _ = np.linalg.lstsq(centred, up - up.mean(), rcond=None)
     n_steps = np.rint(order * np.arctan2(slope_x, slope_y) / (2 * np.pi))
-    angle = np.full(len(flat), 2 * np.pi * n_steps / order)
-    turned = _turned(flat, angle)
+    turned = _turned(flat, 2 * np.pi * n_steps / order)
     x, y = (turned @ np.linalg.inv(axes).T).T
 
     # Every second row of hexagons stands half a cell aside.
@@ -376,15 +371,15 @@ def _assigned(wanted: Doubles) -> Indices:
     n = len(wanted)
     rounded = np.rint(wanted).astype(np.intp)
     # Where points share a cell, all are matched with cells around them.
+    cells: Indices | None = rounded
+    window = WINDOW
     if len(np.unique(rounded, axis=0)) < n:
-        window = WINDOW
-        matched = _matched(wanted, rounded, window)
-        while matched is None:
-            window *= 2
-            matched = _matched(wanted, rounded, window)
-        rounded = matched
-    rounded -= rounded.min(axis=0)
-    return rounded
+        cells = None
+    while cells is None:
+        cells = _matched(wanted, rounded, window)
+        window *= 2
+    cells -= cells.min(axis=0)
+    return cells
 
 
 def _matched(wanted: Doubles, rounded: Indices, window: int) -> Indices | None:
@@ -400,15 +395,15 @@ def _matched(wanted: Doubles, rounded: Indices, window: int) -> Indices | None:
     low = cells.min(axis=(0, 1))
     width = int(np.ptp(cells[..., 1])) + 1
     flat = (cells[..., 0] - low[0]) * width + cells[..., 1] - low[1]
-    cells_in_reach, cell_numbers = np.unique(flat, return_inverse=True)
+    cells_in_reach, numbers = np.unique(flat, return_inverse=True)
     k = flat.shape[1]
     row_begins = np.arange(0, n * k + 1, k)
-    graph = csr_matrix(
-        (cost.ravel(), cell_numbers.ravel(), row_begins), (n, len(cells_in_reach))
-    )
+    entries = (cost.ravel(), numbers.ravel(), row_begins)
+    graph = csr_matrix(entries, (n, len(cells_in_reach)))
     try:
         _, chosen_cells = min_weight_full_bipartite_matching(graph)
-    except ValueError:  # no full matching
+    except ValueError:
+        # Too many points for the cells within their windows.
         return None
     rows, cols = np.divmod(cells_in_reach[chosen_cells], width)
     return np.stack([rows + low[0], cols + low[1]], axis=1)

@@ -136,9 +136,8 @@ class PointScene(Source):
                 k = 0
                 if not scene.presses:
                     k = round(max(0.0, t_s - REST_S) / DT_S) % len(course.places)
-                if (
-                    candidates is None
-                ):  # within a frame, a body moves by less than a millimetre
+                # Within a frame, a body moves by less than a millimetre.
+                if candidates is None:
                     candidates = self._candidates(course, k)
                 bed, touched = self._bed(course, k, q, candidates)
                 total[touched] += bed.forces(q, v)
@@ -230,10 +229,12 @@ class PointScene(Source):
         normals = points.normals[nearest].mean(axis=1)
         middles = points.places[nearest].mean(axis=1)
 
+        # A body cannot follow the steps from taxel to taxel.
         width = SMOOTHED * self._placement.pitch_m / step_m
-        places = gaussian_filter1d(places, width, axis=0, mode="nearest")
-        normals = gaussian_filter1d(normals, width, axis=0, mode="nearest")
-        middles = gaussian_filter1d(middles, width, axis=0, mode="nearest")
+        places, normals, middles = (
+            gaussian_filter1d(along_way, width, axis=0, mode="nearest")
+            for along_way in (places, normals, middles)
+        )
         lengths = np.linalg.norm(normals, axis=1, keepdims=True)
         normals /= np.maximum(lengths, 1e-9)
 
@@ -256,10 +257,4 @@ def _equidistant(corners: Doubles, step_m: float) -> Doubles:
     lengths = np.linalg.norm(np.diff(corners, axis=0), axis=1)
     along = np.concatenate([[0.0], np.cumsum(lengths)])
     stops = np.arange(0.0, along[-1] + step_m / 2, step_m)
-    x, y, z = corners.T
-    coordinates = [
-        np.interp(stops, along, x),
-        np.interp(stops, along, y),
-        np.interp(stops, along, z),
-    ]
-    return np.stack(coordinates, axis=1)
+    return np.stack([np.interp(stops, along, x) for x in corners.T], axis=1)

@@ -131,8 +131,8 @@ def flattened(places: Doubles, normals: Doubles, edges: Edges) -> Doubles:
         plane = _scaled(edges, n)
 
     # Mirrored if it is seen from inside.
-    turned = _moments(plane, places, frames, edges)
-    if (np.linalg.det(turned) < 0).mean() > 0.5:
+    moments = _moments(plane, places, frames, edges)
+    if (np.linalg.det(moments) < 0).mean() > 0.5:
         plane[:, 0] *= -1
 
     # A part that is not flat is bent as little as possible.
@@ -143,9 +143,8 @@ def flattened(places: Doubles, normals: Doubles, edges: Edges) -> Doubles:
 
 def summed(at: Indices, values: Doubles, n: int) -> Doubles:
     """Sums of the rows of `values`, (n_edges, k), by their point: float64 (n, k)."""
-    return np.stack(
-        [np.bincount(at, column, minlength=n) for column in values.T], axis=1
-    )
+    sums = [np.bincount(at, column, minlength=n) for column in values.T]
+    return np.stack(sums, axis=1)
 
 
 def _tangents(places: Doubles, normals: Doubles, edges: Edges) -> Doubles:
@@ -163,13 +162,18 @@ def _tangents(places: Doubles, normals: Doubles, edges: Edges) -> Doubles:
     across: Doubles = axes[:, :, 0]
     side = np.einsum("ij,ij->i", across, normals)
     across = across * np.where(side < 0, -1.0, 1.0)[:, None]
-
-    # On level parts, where +z has no direction in the plane, up is +y.
-    rightward = np.cross([0.0, 0.0, 1.0], across)
-    level = np.linalg.norm(rightward, axis=1) < 0.1
-    rightward[level] = np.cross([0.0, 1.0, 0.0], across[level])
-    rightward /= np.linalg.norm(rightward, axis=1, keepdims=True)
+    rightward = _rightward(across)
     return np.stack([rightward, np.cross(across, rightward)], axis=1)
+
+
+def _rightward(across: Doubles) -> Doubles:
+    """Directions to the right of who looks at a surface with these normals, (n, 3), up being +z."""
+    rightward = np.cross([0.0, 0.0, 1.0], across)
+    # On level parts, where +z has no direction in the plane, up is +y.
+    is_level = np.linalg.norm(rightward, axis=1) < 0.1
+    rightward[is_level] = np.cross([0.0, 1.0, 0.0], across[is_level])
+    unit: Doubles = rightward / np.linalg.norm(rightward, axis=1, keepdims=True)
+    return unit
 
 
 def _cut(centred: Doubles, normals: Doubles, edges: Edges) -> Mask:
@@ -232,7 +236,7 @@ def _scaled(edges: Edges, n: int) -> Doubles:
     # The plane of the landmarks by their squared distances, then all points on it.
     between = squared[:, landmarks]
     mean = between.mean(axis=0)
-    inner = -0.5 * (between - mean[:, None] - mean[None, :] + mean.mean())
+    inner = -0.5 * (between - mean[:, None] - mean + mean.mean())
     values, vectors = np.linalg.eigh(inner)
     sizes = np.sqrt(np.maximum(values[-2:], 1e-12))
     axes = vectors[:, -2:] / sizes

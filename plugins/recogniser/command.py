@@ -24,9 +24,8 @@ def configure(parser: argparse.ArgumentParser) -> None:
     about = "file to write, a new one (default: %(default)s)"
     out = Path(f"model{SUFFIX}")
     make.add_argument("--out", metavar="FILE", type=Path, default=out, help=about)
-    about = (
-        "what the node will read (default: %(default)s; readings where there is none)"
-    )
+    default = "(default: %(default)s; readings where there is none)"
+    about = f"what the node will read {default}"
     make.add_argument("--reads", choices=READS, default=READS[0], help=about)
 
 
@@ -65,7 +64,6 @@ def _train(arguments: argparse.Namespace) -> int:
     n, n_inputs = examples.inputs.shape
     print(f"{n} frames of {n_inputs} numbers: {', '.join(counts)}")
     print(f"{100 * share:.0f} % of the frames held out are recognised")
-    print(
-        f'{arguments.out}: written; use it: model = "{arguments.out}" of a node recogniser'
-    )
+    out = arguments.out
+    print(f'{out}: written; use it: model = "{out}" of a node recogniser')
     return 0

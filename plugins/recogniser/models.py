@@ -74,9 +74,8 @@ def load_model(name: str) -> Model:
             raise SettingsError(f"{name}: {one_line(error)}") from error
 
     # What scikit-learn's classifiers have is asked for, and no class of it.
-    if not callable(getattr(model, "predict_proba", None)) or not hasattr(
-        model, "classes_"
-    ):
+    predicts = callable(getattr(model, "predict_proba", None))
+    if not predicts or not hasattr(model, "classes_"):
         kind = type(model).__name__
         raise SettingsError(
             f"{name}: {kind} has no predict_proba and classes_, as models have"
@@ -84,10 +83,9 @@ def load_model(name: str) -> Model:
     labels = [str(label) for label in np.asarray(model.classes_).ravel()]
     for label in labels:
         if not label.isprintable() or len(label) > MAX_LABEL:
+            quoted = repr(label[:MAX_LABEL])
             allowed = f"at most {MAX_LABEL} printable characters"
-            raise SettingsError(
-                f"{name}: label {label[:MAX_LABEL]!r}; allowed: {allowed}"
-            )
+            raise SettingsError(f"{name}: label {quoted}; allowed: {allowed}")
     checked: Model = model
     return checked
 
@@ -103,6 +101,6 @@ def _unpickled(path: Path) -> Any:
     try:
         return joblib.load(path)
     except Exception as error:
-        raise SettingsError(
-            f"{path}: no model can be read: {one_line(error)}"
-        ) from error
+        # Whatever the classes in the file raise.
+        fault = f"no model can be read: {one_line(error)}"
+        raise SettingsError(f"{path}: {fault}") from error

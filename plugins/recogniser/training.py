@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import csv
 import os
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -109,19 +109,20 @@ def examples(paths: Sequence[str], spans: Sequence[Span], reads: str) -> Example
     inputs: list[Floats] = []
     labels: list[str] = []
     numbers: list[int] = []
+    stated_names: set[str] = set()
     for path in paths:
         frames, seconds = _frames(path, reads)
         names = {path, os.path.basename(path), Path(path).stem}
-        spans_of_recording = [
-            (k, span) for k, span in enumerate(spans) if span.recording in names
-        ]
-        if not spans_of_recording:
+        stated_names |= names
+        rows = [k for k, span in enumerate(spans) if span.recording in names]
+        if not rows:
             raise SparseskinError(f"{path}: no row of the table of labels names it")
 
         # Nothing presses in frames of a small norm.
         norms = np.linalg.norm(frames, axis=1)
         is_loaded = norms > LOADED * np.percentile(norms, 95)
-        for k, span in spans_of_recording:
+        for k in rows:
+            span = spans[k]
             is_in_span = is_loaded & (seconds >= span.begin_s) & (seconds < span.end_s)
             n_frames = int(is_in_span.sum())
             inputs.append(frames[is_in_span])
@@ -131,19 +132,12 @@ def examples(paths: Sequence[str], spans: Sequence[Span], reads: str) -> Example
             counts = f"{frames.shape[1]} numbers a frame, but {inputs[0].shape[1]} in {paths[0]}"
             raise SparseskinError(f"{path}: {counts}")
 
-    unused = {span.recording for span in spans} - set(_names(paths))
+    # A name that was typed wrong would be trained without its frames.
+    unused = sorted({span.recording for span in spans} - stated_names)
     if unused:
-        raise SparseskinError(
-            f"labels of {sorted(unused)[0]!r}: no such recording is stated"
-        )
-    return _evenly(
-        Examples(np.concatenate(inputs), np.array(labels), np.array(numbers))
-    )
-
-
-def _names(paths: Iterable[str]) -> Iterable[str]:
-    for path in paths:
-        yield from (path, os.path.basename(path), Path(path).stem)
+        raise SparseskinError(f"labels of {unused[0]!r}: no such recording is stated")
+    all_inputs = np.concatenate(inputs)
+    return _evenly(Examples(all_inputs, np.array(labels), np.array(numbers)))
 
 
 def _frames(path: str, reads: str) -> tuple[Floats, np.ndarray[Any, Any]]:
@@ -194,15 +188,14 @@ def train(
     that was trained without them. Raises SparseskinError if there are too few.
     """
     is_test = held_out(given_examples)
+    inputs, labels, _ = given_examples
     # One model for the test alone, and one of all examples for the node.
-    trial = TrainedModel(reads).fit(
-        given_examples.inputs[~is_test], given_examples.labels[~is_test]
-    )
-    shares = trial.predict_proba(given_examples.inputs[is_test])
-    is_right = trial.classes_[shares.argmax(axis=1)] == given_examples.labels[is_test]
+    trial = TrainedModel(reads).fit(inputs[~is_test], labels[~is_test])
+    shares = trial.predict_proba(inputs[is_test])
+    is_right = trial.classes_[shares.argmax(axis=1)] == labels[is_test]
 
     model = TrainedModel(reads, phi)
-    model.fit(given_examples.inputs, given_examples.labels)
+    model.fit(inputs, labels)
     share = float("nan")
     if is_right.size:
         share = float(is_right.mean())
@@ -218,14 +211,11 @@ def phi_of(paths: Sequence[str], reads: str) -> str:
     from sparseskin.nodes.recorder.bag.frames import streams
     from sparseskin.nodes.recorder.bag.reader import BagReader
 
+    ending = f"/{Measurements.schema}"
     fingerprints: set[str] = set()
     for path in paths:
         with BagReader(path) as bag:
-            topics = [
-                topic
-                for topic in bag.topics
-                if topic.endswith(f"/{Measurements.schema}")
-            ]
+            topics = [topic for topic in bag.topics if topic.endswith(ending)]
             for message, _ in streams(bag, topics, "phi"):
                 assert isinstance(message, Measurements)
                 fingerprints.add(message.phi)
