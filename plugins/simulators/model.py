@@ -106,13 +106,15 @@ def load_model(path: str) -> Any:
         import mujoco
     except ImportError as error:
         raise SourceError(f"{path}: {INSTALL}") from error
-    mujoco.set_mju_user_warning(lambda text: None)  # else it writes MUJOCO_LOG.TXT here
+    # Without it, a warning is written to MUJOCO_LOG.TXT in the folder of the user.
+    mujoco.set_mju_user_warning(lambda text: None)
     load = mujoco.MjModel.from_xml_path
     if path.lower().endswith(".mjb"):
         load = mujoco.MjModel.from_binary_path
     try:
         model = load(path)
-    except Exception as error:  # its own errors, and ValueError
+    except Exception as error:
+        # MuJoCo has errors of its own, and raises ValueError.
         text = " ".join(str(error).split())
         raise SourceError(f"{path}: MuJoCo refuses it: {text[:300]}") from error
     step_s = float(model.opt.timestep)

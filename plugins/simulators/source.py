@@ -126,9 +126,9 @@ class MujocoSource(Source):
             try:
                 self._control(self.model, data, float(data.time))
             except Exception as error:
-                raise SourceError(
-                    f"{self._source}: control failed: {one_line(error)}"
-                ) from error
+                # The user's own code may raise anything.
+                fault = f"control failed: {one_line(error)}"
+                raise SourceError(f"{self._source}: {fault}") from error
         elif self._schedule is not None:
             _follow(self.model, data, self._schedule)
 
@@ -161,9 +161,9 @@ def _follow(model: Any, data: Any, times: Doubles) -> None:
     part = np.clip((data.time - times[preceding]) / span_s, 0.0, 1.0)
 
     def between(values: Doubles) -> Doubles:
-        values_now: Doubles = (1.0 - part) * values[preceding] + part * values[
-            following
-        ]
+        begin = values[preceding]
+        end = values[following]
+        values_now: Doubles = (1.0 - part) * begin + part * end
         return values_now
 
     data.ctrl[:] = between(model.key_ctrl)

@@ -81,16 +81,12 @@ class Touch:
             self._data.xfrc_applied[body] -= wrench
         self._applied = {}
 
-        pressed = np.flatnonzero(forces > 0)
-        forces_on = forces[pressed]
-        points_on = points[pressed]
-        bodies_on = bodies[pressed]
-
-        for body in set(bodies_on.tolist()):
+        pressed = forces > 0
+        for body in set(bodies[pressed].tolist()):
             # The sum of its forces, and of their moments; the skin feels the opposite.
-            on_it = bodies_on == body
-            total = float(forces_on[on_it].sum())
-            moment = forces_on[on_it] @ points_on[on_it]
+            on_it = pressed & (bodies == body)
+            total = float(forces[on_it].sum())
+            moment = forces[on_it] @ points[on_it]
             self._apply(body, total, moment, normal)
             self._apply(self._pad.body, -total, -moment, normal)
         return forces.reshape(self._pad.shape).astype(np.float32)
@@ -154,20 +150,22 @@ class Touch:
         depths, hit, tops = self._depths(near, taxels, middle, axes)
         is_deep = depths > 0
         depths = depths[is_deep]
-        touched_taxels = taxels[is_deep]
+        touched = taxels[is_deep]
         normal = axes[:, 2]
-        points[touched_taxels] = tops[is_deep] - depths[:, None] * normal
-        bodies[touched_taxels] = self._seen.geom_bodyid[hit[is_deep]]
+        places = tops[is_deep] - depths[:, None] * normal
+        touching = self._seen.geom_bodyid[hit[is_deep]]
 
         # Rates at which the bodies press into the skin.
         pad = self._pad
-        speeds = -self._speeds(pad.body, points[touched_taxels], normal)
-        for body in set(bodies[touched_taxels].tolist()):
-            on_it = bodies[touched_taxels] == body
-            speeds[on_it] += self._speeds(body, points[touched_taxels][on_it], normal)
-        forces[touched_taxels] = np.maximum(
-            pad.stiffness * depths - pad.damping * speeds, 0.0
-        )
+        speeds = -self._speeds(pad.body, places, normal)
+        for body in set(touching.tolist()):
+            on_it = touching == body
+            speeds[on_it] += self._speeds(body, places[on_it], normal)
+        # A taxel pushes, and never pulls.
+        pressures = pad.stiffness * depths - pad.damping * speeds
+        forces[touched] = np.maximum(pressures, 0.0)
+        points[touched] = places
+        bodies[touched] = touching
         return forces, points, bodies
 
     def _under(self, near: Indices, middle: Doubles, axes: Doubles) -> Indices:
@@ -175,7 +173,8 @@ class Touch:
         under = np.zeros(len(self._places), np.bool_)
         for geom in near:
             radius = self._seen.geom_rbound[geom]
-            if radius == 0:  # a plane
+            # A plane has no bounding sphere, and may be over all taxels.
+            if radius == 0:
                 return np.arange(len(under))
 
             x, y, _ = (self._data.geom_xpos[geom] - middle) @ axes
@@ -235,7 +234,8 @@ class Touch:
         )
         if hit[0] < 0:
             return 0.0, -1
-        if outward @ normal > 0:  # it leaves the body that it started in
+        # The ray leaves the body that it started in.
+        if outward @ normal > 0:
             return depth, int(hit[0])
         return max(depth - distance, 0.0), int(hit[0])
 

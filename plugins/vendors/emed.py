@@ -95,13 +95,12 @@ class EmedRecording(WholeRecording):
             frames.append(self._table(number))
             page = self._next_page()
 
+        period_ns = header.period_ms * 1e6
         return Parsed(
             forces=stack_frames(frames, name) * header.newtons_per_kpa,
             unit="N",
             rate_hz=1000.0 / header.period_ms,
-            stamp_ns=tuple(
-                round(k * header.period_ms * 1e6) for k in range(len(frames))
-            ),
+            stamp_ns=tuple(round(k * period_ns) for k in range(len(frames))),
             pitch_m=header.pitch_m,
         )
 
@@ -163,10 +162,10 @@ class EmedRecording(WholeRecording):
                     f"{where}: row {row + 1} comes after row {row_before + 1}"
                 )
             row_before = row
+            # The last cell may be the sum of the row.
+            place = f"{where}, frame {number}"
             for col, token in zip(columns, cells[1:], strict=False):
-                kpa[row, col] = parse_reading(
-                    token, f"{where}, frame {number}", row, col
-                )
+                kpa[row, col] = parse_reading(token, place, row, col)
         raise SourceError(
             f"{where}: frame {number} is cut short before the end of its table"
         )
@@ -183,10 +182,10 @@ def _columns(line: str, n_cols: int, where: str) -> tuple[list[int], bool]:
     # The last column is that of the sums of the rows.
     if has_sums:
         labels.pop()
-    columns = [
-        parse_whole(label.strip(), f"{where}, column label", 1, n_cols) - 1
-        for label in labels
-    ]
+    columns = []
+    for label in labels:
+        number = parse_whole(label.strip(), f"{where}, column label", 1, n_cols)
+        columns.append(number - 1)
     if any(column <= previous for previous, column in pairwise(columns)):
         raise SourceError(f"{where}: the column labels do not rise")
     return columns, has_sums

@@ -132,7 +132,8 @@ class Hdf5File(ArrayFile):
                 yield opened
         except SourceError:
             raise
-        except Exception as error:  # of HDF5, at malformed bytes of any kind
+        except Exception as error:
+            # HDF5 may raise anything at malformed bytes.
             raise unreadable(self.name, error) from error
 
     def _list(self, opened: Any) -> None:
@@ -141,12 +142,14 @@ class Hdf5File(ArrayFile):
 
         def look(path: str, entry: Any) -> bool | None:
             # Soft and external links are not followed.
-            if isinstance(entry, h5py.Dataset) and not (
-                entry.external or entry.is_virtual
-            ):
-                is_hidden = path.startswith("#")  # what MATLAB refers to from elsewhere
-                if not is_hidden:
-                    self._add(path, entry)
+            if not isinstance(entry, h5py.Dataset):
+                return None
+            if entry.external or entry.is_virtual:
+                return None
+            # MATLAB keeps there what it refers to from elsewhere.
+            if not path.startswith("#"):
+                self._add(path, entry)
+            # Anything but None ends the walk.
             return len(self.datasets) >= MAX_ARRAYS or None
 
         opened.visititems(look)
@@ -178,11 +181,9 @@ class Hdf5File(ArrayFile):
             around: dict[str, Any] = {}
             if group.name != "/":
                 around = self._around(group.parent)
-            of_group = {
-                name: value
-                for name, value in _attributes(group)
-                if name not in _OF_ARRAY
-            }
+            of_group = dict(_attributes(group))
+            for name in of_group.keys() & _OF_ARRAY:
+                del of_group[name]
             self._groups[group.name] = {**around, **of_group}
         return self._groups[group.name]
 

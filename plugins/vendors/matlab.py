@@ -34,30 +34,14 @@ _INT8 = 1
 _INT32 = 5
 _UINT32 = 6
 _STORED = {
-    1: "i1",
-    2: "u1",
-    3: "i2",
-    4: "u2",
-    5: "i4",
-    6: "u4",
-    7: "f4",
-    9: "f8",
-    12: "i8",
-    13: "u8",
+    **{1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4"},
+    **{7: "f4", 9: "f8", 12: "i8", 13: "u8"},
 }
 """Types of the numbers as they stand in the file; whole float64 numbers stand there as integers."""
 _STRUCT = 2
 _CLASSES = {
-    6: "f8",
-    7: "f4",
-    8: "i1",
-    9: "u1",
-    10: "i2",
-    11: "u2",
-    12: "i4",
-    13: "u4",
-    14: "i8",
-    15: "u8",
+    **{6: "f8", 7: "f4", 8: "i1", 9: "u1", 10: "i2", 11: "u2"},
+    **{12: "i4", 13: "u4", 14: "i8", 15: "u8"},
 }
 """Classes of arrays of numbers in MATLAB."""
 _COMPLEX = 0x0800
@@ -102,7 +86,8 @@ class _Part:
     stream: IO[bytes]
     order: str
     at: int = 0
-    short: bytes = b""  # of an element that stands in its tag
+    #: Bytes that are left of an element that stands in its tag.
+    short: bytes = b""
 
     def read(self, n: int) -> bytes:
         """The next bytes; ArrayFileError if the element ends before."""

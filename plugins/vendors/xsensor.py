@@ -162,10 +162,9 @@ class XsensorRecording(WholeRecording):
         height_cm = _number_or_nan(entries, "Sensel Height")
         area_cm2 = _number_or_nan(entries, "Total Area")
         pitch_m = width_cm / 100 if width_cm == height_cm else None
-        # False where one is not stated.
-        is_part = (
-            area_cm2 < (1 - _AREA_ROUNDING) * math.prod(shape) * width_cm * height_cm
-        )
+        grid_cm2 = math.prod(shape) * width_cm * height_cm
+        # False where one is not stated, and NaN.
+        is_part = area_cm2 < (1 - _AREA_ROUNDING) * grid_cm2
         time_s = None
         if "Time" in entries:
             time_s = _seconds(*entries["Time"])

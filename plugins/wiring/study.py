@@ -61,17 +61,14 @@ def run(out: Path, quick: bool, seed: int, executor: str) -> list[str]:
 
     points = [{"seed": seed_of_point} for seed_of_point in seeds]
     wires = method_rows(points, compute(wiring, points, out, executor, "wires"), "kind")
-    wires = (
-        wires.groupby("kind", sort=False).mean(numeric_only=True).drop(columns="seed")
-    )
-    rows = rows.join(wires, on="kind")
+    means = wires.groupby("kind", sort=False).mean(numeric_only=True)
+    rows = rows.join(means.drop(columns="seed"), on="kind")
 
     # Loss against sums over the whole skin, of the same preset, body and seed.
-    db_of_scrambled = rows[rows["kind"] == SCRAMBLED].set_index(
-        ["preset", "body", "seed"]
-    )["mean_db"]
-    keys = pd.MultiIndex.from_frame(rows[["preset", "body", "seed"]])
-    rows["loss_db"] = db_of_scrambled.loc[keys].to_numpy() - rows["mean_db"].to_numpy()
+    keys = ["preset", "body", "seed"]
+    scrambled_db = rows[rows["kind"] == SCRAMBLED].set_index(keys)["mean_db"]
+    places = pd.MultiIndex.from_frame(rows[keys])
+    rows["loss_db"] = scrambled_db.loc[places].to_numpy() - rows["mean_db"].to_numpy()
 
     page = Page(out, "wiring", Path(__file__).with_suffix(".md"), quick)
     page.section(
@@ -95,18 +92,15 @@ def run(out: Path, quick: bool, seed: int, executor: str) -> list[str]:
 def frames_of(n_frames: int, quick: bool) -> list[Frames]:
     """Bodies that press the skin, and a scene; a solver learns the noise of the first 10 frames."""
     skip = N_BEFORE - 10
-    frames: list[Frames] = [
-        PressFrames(body, SHAPE, N_BEFORE + n_frames, skip=skip) for body in BODIES
-    ]
-    if quick:
-        return frames
-
-    contact, _ = next(SceneFrames(DRAG, 0).windows(0))
-    first_frame = DRAG_FIRST - contact
-    drag = SceneFrames(
-        DRAG, first_frame, first_frame + n_frames * DRAG_EVERY, DRAG_EVERY
-    )
-    return [*frames, drag]
+    frames: list[Frames] = []
+    for body in BODIES:
+        frames.append(PressFrames(body, SHAPE, N_BEFORE + n_frames, skip=skip))
+    if not quick:
+        contact, _ = next(SceneFrames(DRAG, 0).windows(0))
+        begin = DRAG_FIRST - contact
+        end = begin + n_frames * DRAG_EVERY
+        frames.append(SceneFrames(DRAG, begin, end, DRAG_EVERY))
+    return frames
 
 
 def named(rows: pd.DataFrame) -> pd.Series:
@@ -118,10 +112,9 @@ def named(rows: pd.DataFrame) -> pd.Series:
 def experiment(frames: list[Frames], seeds: range) -> Experiment:
     """Each matrix with each preset, on the same readings."""
     measurements = [Measurement(RATIO, phi=kind, block=BLOCK) for kind in KINDS_OF_PHI]
-    presets = {
-        name: Candidate(PRESETS[name], changes={"rows": rows})
-        for name, rows in PRESET_ROWS.items()
-    }
+    presets = {}
+    for name, rows in PRESET_ROWS.items():
+        presets[name] = Candidate(PRESETS[name], changes={"rows": rows})
     return Experiment(
         "accuracy", frames, measurements, presets, ("mean_db", "min_db"), tuple(seeds)
     )
@@ -271,7 +264,6 @@ def _side(
     """Sign of the side of the line p -> q on which r lies."""
     d = q - p
     e = r - p
-    sign: npt.NDArray[np.float64] = np.sign(
-        d[..., 0] * e[..., 1] - d[..., 1] * e[..., 0]
-    )
+    area = d[..., 0] * e[..., 1] - d[..., 1] * e[..., 0]
+    sign: npt.NDArray[np.float64] = np.sign(area)
     return sign
