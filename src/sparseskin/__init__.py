@@ -7,9 +7,8 @@ with no process and no socket. Each is imported when it is first used. The node 
 
 from importlib import import_module
 
-TYPE_CHECKING = (
-    False  # as of `typing`, without its import: the command imports this first
-)
+# As of `typing`, without its import: the command imports this module first.
+TYPE_CHECKING = False
 
 if TYPE_CHECKING:
     from sparseskin.launch.attach.subscription import Subscription, subscribe
@@ -59,7 +58,8 @@ _HOMES = {
 }
 
 
-if not TYPE_CHECKING:  # which know the names above, and no others
+# Type checkers know the names above, and no others.
+if not TYPE_CHECKING:
 
     def __getattr__(name):
         if name == "__version__":
@@ -69,6 +69,7 @@ if not TYPE_CHECKING:  # which know the names above, and no others
         if name not in __all__:
             raise AttributeError(f"module 'sparseskin' has no attribute {name!r}")
         module = import_module(_HOMES.get(name, "sparseskin.arrays"))
+        # A name that says more outside of its module.
         name_there = "load" if name == "load_launch" else name
         value = getattr(module, name_there)
         # So that it is looked up once.

@@ -52,6 +52,8 @@ Floats = npt.NDArray[np.float32]
 Mask = npt.NDArray[np.bool_]
 
 WITHIN = f"numbers within +-{LARGEST:g}"
+THREADS = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS")
+"""Variables by which a user states the number of threads of OpenBLAS."""
 
 
 @checked(PhiError)
@@ -148,9 +150,8 @@ def _check_measurable(forces: Floats, phi: Phi) -> None:
             "not state which; allowed: other kinds, or a graph"
         )
     if np.issubdtype(getattr(forces, "dtype", float), np.integer):
-        allowed = (
-            "newtons, as of float32 (counts become newtons by sparseskin calibrate)"
-        )
+        newton = "newtons, as of float32"
+        allowed = f"{newton} (counts become newtons by sparseskin calibrate)"
         raise PhiError(f"compress: forces: type {forces.dtype}; allowed: {allowed}")
 
 
@@ -300,14 +301,12 @@ def reconstruct(measurements: Floats, solver: Solver) -> Floats:
 
     # Frames in order begin with the first row subset, as `compress` does.
     subsets = getattr(solver, "subsets", ())
-    frames: list[Floats] = []
+    frames = np.zeros((len(y), *solver.mask.shape), dtype=np.float32)
     for k, of_frame in enumerate(y):
         if subsets:
             solver.use(subsets[k % len(subsets)])
-        frames.append(_reconstructed(of_frame, solver))
-    if not frames:
-        return np.zeros((0, *solver.mask.shape), dtype=np.float32)
-    return np.stack(frames)
+        frames[k] = _reconstructed(of_frame, solver)
+    return frames
 
 
 def _check_solver(solver: Solver) -> None:
@@ -343,9 +342,7 @@ def warn_of_threads() -> None:
     config: Any = np.show_config(mode="dicts")
     # Other libraries do not make small products wait.
     is_openblas = "openblas" in config["Build Dependencies"]["blas"]["name"]
-    is_stated = any(
-        name in os.environ for name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS")
-    )
+    is_stated = not os.environ.keys().isdisjoint(THREADS)
     if not is_openblas or is_stated or (os.cpu_count() or 1) == 1:
         return
     warnings.warn(
@@ -451,12 +448,8 @@ def simulate(scene: str, n_frames: int, seed: int = 0) -> tuple[Floats, Floats]:
     truth = []
     taxels = []
     for messages in bus.frames(n_frames):
-        truth += [
-            message.forces[0] for message in messages if isinstance(message, Truth)
-        ]
-        taxels += [
-            message.forces[0] for message in messages if isinstance(message, Taxels)
-        ]
+        truth += [each.forces[0] for each in messages if isinstance(each, Truth)]
+        taxels += [each.forces[0] for each in messages if isinstance(each, Taxels)]
     bus.check()
     return np.stack(truth), np.stack(taxels)
 
@@ -585,8 +578,7 @@ def _parts_of(message: Frames) -> dict[str, Any]:
     if isinstance(message, Contacts):
         return {"contacts": message}
     values = values_alone(message)
-    parts = {}
-    parts[_PARTS[type(message)]] = values.get("y", values.get("forces"))
+    parts = {_PARTS[type(message)]: values.get("y", values.get("forces"))}
     if isinstance(message, Taxels | Reconstruction):
         parts["missing"] = message.missing_cells(message.forces.shape[1:])
     for name in ("error", "trusted", "reason"):

@@ -120,11 +120,12 @@ def check_solver(solver: Solver) -> dict[str, float]:
     results = test.run(test.straight)
     # Later frames must not change earlier results.
     copies = [forces.copy() for forces in results]
-    for runs, solve in (
-        ("a second run after reset()", test.straight),
-        ("setup(), step() and finish()", test.stepped),
-        ("frames after one that is refused", test.troubled),
-    ):
+    solves = {
+        "a second run after reset()": test.straight,
+        "setup(), step() and finish()": test.stepped,
+        "frames after one that is refused": test.troubled,
+    }
+    for runs, solve in solves.items():
         if not all(map(np.array_equal, test.run(solve), copies)):
             test.fail("", f"{runs} differ from solve()", "the same bits")
     if not all(map(np.array_equal, results, copies)):
@@ -176,11 +177,8 @@ class _Test:
         copy = batch.copy()
         result = apply(batch)
         if result.shape != shape or result.dtype != np.float32:
-            self.fail(
-                place,
-                f"{result.dtype} of shape {result.shape}",
-                f"float32 of shape {shape}",
-            )
+            kind = f"{result.dtype} of shape {result.shape}"
+            self.fail(place, kind, f"float32 of shape {shape}")
         if not np.isfinite(result).all():
             self.fail(place, "not finite", "finite numbers")
         if not np.array_equal(batch, copy):
@@ -189,11 +187,8 @@ class _Test:
         # The same bits, alone and in a batch, twice.
         frame_by_frame = np.stack([apply(frame) for frame in batch])
         if not np.array_equal(frame_by_frame, result):
-            self.fail(
-                place,
-                "other bits on a second call",
-                "the same bits, alone and in a batch",
-            )
+            expected = "the same bits, alone and in a batch"
+            self.fail(place, "other bits on a second call", expected)
         return result
 
     def dot_error(
@@ -288,6 +283,7 @@ class _SolverTest(_Test):
         try:
             self.solver.solve(broken)
         except SolverError:
+            # A refused frame may count as one of rotating rows.
             self.solver.use(phi)
             return self.solver.solve(y)
         self.fail("", "a NaN among the measurements is taken", "SolverError")

@@ -201,11 +201,10 @@ class Stream:
         basis = make_basis(settings.pop("basis"), *skin.shape)
         if solver_fact(solver_class(name), "uses_blas"):
             warn_of_threads()
+        # Weights are stated for the range of the paper.
         options = options_for_range(name, settings, skin.f_max, self._phis[0])
-        fast = self._host.fast
-        solver = make_rotating_solver(
-            name, self._phis, basis, skin.mask, fast=fast, **options
-        )
+        options["fast"] = self._host.fast
+        solver = make_rotating_solver(name, self._phis, basis, skin.mask, **options)
         solver.noise_sd = self._noise_sd
         solver.noise_model = self._noise_model
         return solver
@@ -371,11 +370,10 @@ def _host_settings(
     # What a user's own solver takes is not known here.
     if ":" not in str(stated.get("solver")):
         # A misspelled argument would pass for an option of the solver.
-        parameters = [
-            name for name in signature(Stream).parameters if name != "settings"
-        ]
+        known_names = [*_NAMED, *signature(Stream).parameters]
+        known_names.remove("settings")
         for name in options:
-            hint = suggestion(name, [*_NAMED, *parameters])
+            hint = suggestion(name, known_names)
             if hint:
                 raise SparseskinError(f"stream: {name}: is not known{hint}")
     host = ReconstructorSettings(phi=phi, preset=preset, options=options, **stated)
