@@ -99,9 +99,8 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.formatter_class = argparse.RawDescriptionHelpFormatter
     rare_options = rare(parser)
     summaries = {name: study.summary for name, study in studies().items()}
-    parser.epilog = "\n".join(
-        f"{name:<15} {summary}" for name, summary in summaries.items()
-    )
+    lines = [f"{name:<15} {summary}" for name, summary in summaries.items()]
+    parser.epilog = "\n".join(lines)
     name = parser.add_argument(
         "name", metavar="STUDY", help=f"study: {', '.join(summaries)}"
     )
@@ -140,16 +139,13 @@ def _add_options_of_studies(rare_options: argparse._ArgumentGroup) -> None:
     rare_options.add_argument("--seeds", metavar="K", type=whole(1, 1000), help=about)
     about = "stability: so many drawn worlds of each kind, and no other section"
     rare_options.add_argument("--worlds", metavar="K", type=whole(1, 1000), help=about)
-    for option, about in (
-        (
-            "--constants",
-            "with --recordings: constants of the default solver halved and doubled, rules off",
-        ),
-        ("--alone", "single frames beside total variation (extra peers)"),
-    ):
-        rare_options.add_argument(
-            option, action="store_true", default=None, help=f"accuracy: {about}"
-        )
+    constants = "constants of the default solver halved and doubled, rules off"
+    flags = {
+        "--constants": f"accuracy: with --recordings: {constants}",
+        "--alone": "accuracy: single frames beside total variation (extra peers)",
+    }
+    for flag, about in flags.items():
+        rare_options.add_argument(flag, action="store_true", default=None, help=about)
 
 
 def _study(arguments: argparse.Namespace) -> int:
@@ -162,9 +158,9 @@ def _study(arguments: argparse.Namespace) -> int:
     _check_packages(name)
     options = _options_of(name, by_name, arguments)
 
-    out: Path = arguments.out or Path("out") / (
-        f"{name}-quick" if arguments.quick else name
-    )
+    # A quick run must not stand in the place of a whole one.
+    folder = f"{name}-quick" if arguments.quick else name
+    out: Path = arguments.out or Path("out") / folder
     try:
         out.mkdir(parents=True, exist_ok=True)
     except OSError as error:
@@ -177,12 +173,9 @@ def _study(arguments: argparse.Namespace) -> int:
         from .points import forget
 
         forget(out)
-    common = {
-        "quick": arguments.quick,
-        "seed": arguments.seed,
-        "executor": arguments.executor,
-    }
-    for line in run(out=out, **common, **options) or ():
+    for name_of_option in ("quick", "seed", "executor"):
+        options[name_of_option] = getattr(arguments, name_of_option)
+    for line in run(out=out, **options) or ():
         print(f"- {line}")
     print(out / f"{name}.md")
     return 0

@@ -139,19 +139,24 @@ class Method:
         cpu_s = time.thread_time() - cpu_begin_s
         wall_s = time.perf_counter() - begin_s
         error, trusted = estimated_error(self.solver)
-        flagged = None if error is None and trusted else not trusted
-        n_bytes = VALUE_BYTES * phi.m + self._n_code_bytes
-        common = self.solver.common_error
         return Solved(
-            forces, wall_s, cpu_s, self.solver.n_steps, n_bytes, error, flagged, common
+            forces,
+            wall_s,
+            cpu_s,
+            self.solver.n_steps,
+            n_bytes=VALUE_BYTES * phi.m + self._n_code_bytes,
+            error=error,
+            # A solver without an estimate states nothing of trusted frames.
+            flagged=None if error is None and trusted else not trusted,
+            common_error=self.solver.common_error,
         )
 
     def reconstruct(self, taxels: Floats) -> Solved:
         """Measure and reconstruct the next frame, rounded to `bits`; see `Estimator`."""
         y = self.measure(taxels)
-        return self.solve(
-            y if self.bits is None else np.asarray(quantised(y, self.bits))
-        )
+        if self.bits is not None:
+            y = np.asarray(quantised(y, self.bits))
+        return self.solve(y)
 
 
 class Alone:
@@ -186,13 +191,13 @@ def make_method(
     settings are used as stated. Raises SettingsError, PhiError or SolverError if a name or setting
     is unknown or not allowed, or the parts do not fit.
     """
-    settings = {
-        key: value for key, value in chosen.items() if key not in ("solver", "basis")
-    }
+    settings = dict(chosen)
+    name = settings.pop("solver")
+    basis = make_basis(settings.pop("basis", "haar"), *shape)
     skin = Skin(*shape, f_max_n, mask=mask)
     phis = CompressorSettings(ratio=ratio, seed=seed, **how).phis(skin, sigma_end)
-    basis = make_basis(chosen.get("basis", "haar"), *shape)
-    solver = make_rotating_solver(chosen["solver"], phis, basis, mask, **settings)
+    solver = make_rotating_solver(name, phis, basis, mask, **settings)
+    # The noise at mid-range, as it is to that at the ends in the paper.
     if sigma_end:
         paper = NoiseModel()
         sigma_mid = min(f_max_n, sigma_end * paper.sigma_mid / paper.sigma_end)
@@ -209,7 +214,8 @@ def values_that_fit(kind: str, mask: Mask, m: int) -> int:
         try:
             phi = make_phi(kind, n, k, seed=0)
         except PhiError:
-            break  # it needs more
+            # This kind needs more measurements.
+            break
         phi.lay_out(mask)
         if VALUE_BYTES * k + phi.most_code_bytes <= VALUE_BYTES * m:
             return k
@@ -254,9 +260,10 @@ class Scores:
         """Count one frame; truth: float32, shape (n_rows, n_cols), newtons."""
         error = solved.forces - truth
         off, norm = (float(np.linalg.norm(self._taxels(x))) for x in (error, truth))
-        contact = (
-            norm > LOADED * self.norm if self.norm else in_contact(truth, self.f_max_n)
-        )
+        contact = in_contact(truth, self.f_max_n)
+        # In a recording the offset of the sensor may pass for a contact.
+        if self.norm:
+            contact = norm > LOADED * self.norm
         self.psnr_db.append(psnr_db(error, self.f_max_n))
         self.contact.append(contact)
         self.wall_s.append(solved.wall_s)
@@ -266,9 +273,8 @@ class Scores:
         if solved.flagged is not None:
             self.flags.append((solved.flagged, off / norm if contact else math.nan))
         if contact:
-            on_touched = error[truth > CONTACT_FRACTION * self.f_max_n].astype(
-                np.float64
-            )
+            is_touched = truth > CONTACT_FRACTION * self.f_max_n
+            on_touched = error[is_touched].astype(np.float64)
             if on_touched.size:
                 self.touched.append((float(np.mean(on_touched**2)), on_touched.size))
             self.relative.append(off / norm)
@@ -281,19 +287,16 @@ class Scores:
 
     def _taxels(self, image: Floats) -> Doubles:
         """Values of the taxels that exist."""
-        values: Doubles = (image if self.mask is None else image[self.mask]).astype(
-            np.float64
-        )
+        if self.mask is not None:
+            image = image[self.mask]
+        values: Doubles = image.astype(np.float64)
         return values
 
     @property
     def contact_db(self) -> list[float]:
         """PSNR of each contact frame, dB."""
-        return [
-            psnr
-            for psnr, touches in zip(self.psnr_db, self.contact, strict=True)
-            if touches
-        ]
+        pairs = zip(self.psnr_db, self.contact, strict=True)
+        return [psnr for psnr, touches in pairs if touches]
 
 
 def evaluate(

@@ -97,21 +97,20 @@ class Take:
         """Number of taxels that exist."""
         return int(np.count_nonzero(self.mask))
 
-    def state(
-        self, sigma_mid: float, sigma_end: float, rate_hz: float = 0.0
-    ) -> SkinState:
-        """The skin with a noise, newtons, and a frame rate, as a sensor states it."""
+    def state(self, sigma_mid: float, sigma_end: float) -> SkinState:
+        """The skin with a noise, newtons, as a sensor states it."""
         n_rows, n_cols = self.mask.shape
-        of_skin = vars(Skin(n_rows, n_cols, self.f_max, mask=self.mask))
-        noise = {"sigma_mid": sigma_mid, "sigma_end": sigma_end}
-        common = {
-            "stamp_ns": 0,
-            "patch": "skin",
-            "source": "",
-            "seed": 0,
-            "has_truth": False,
-        }
-        return SkinState(**common, **of_skin, **noise, rate_hz=rate_hz)  # type: ignore[arg-type]
+        return SkinState(
+            stamp_ns=0,
+            patch="skin",
+            source="",
+            seed=0,
+            has_truth=False,
+            **vars(Skin(n_rows, n_cols, self.f_max, mask=self.mask)),
+            sigma_mid=sigma_mid,
+            sigma_end=sigma_end,
+            rate_hz=0.0,
+        )
 
 
 class Frames(Protocol):
@@ -138,11 +137,8 @@ class SceneFrames:
     def open(self, seed: int) -> Take:
         """See `Frames`."""
         scene = scene_of(self.scene)
-        return Take(
-            np.ones(scene.shape, dtype=np.bool_),
-            scene.f_max_n,
-            lambda: self._parts(seed),
-        )
+        mask = np.ones(scene.shape, dtype=np.bool_)
+        return Take(mask, scene.f_max_n, lambda: self._parts(seed))
 
     def windows(self, seed: int) -> Iterator[tuple[int, int | None]]:
         """First frame and end of each part, counted from the beginning of the scene."""
@@ -187,18 +183,21 @@ class PressFrames:
         mask = np.ones(self.shape, dtype=np.bool_)
         if self.n_scattered is not None:
             mask = scattered_mask(self.shape, self.n_scattered, seed)
-        how: dict[str, Any] = {
-            "course": self.course,
-            "speed": self.speed,
-            "active": self.active,
-        }
-        how["f_max"] = self.strength * PAPER_F_MAX_N
 
         def parts() -> Iterable[Pairs]:
-            press = self.body, self.shape, self.n_frames, seed
-            return [
-                list(press_frames(*press, mask=mask, noise=NOISE, **how))[self.skip :]
-            ]
+            frames = press_frames(
+                self.body,
+                self.shape,
+                self.n_frames,
+                seed,
+                course=self.course,
+                speed=self.speed,
+                active=self.active,
+                mask=mask,
+                f_max=self.strength * PAPER_F_MAX_N,
+                noise=NOISE,
+            )
+            return [list(frames)[self.skip :]]
 
         return Take(mask, PAPER_F_MAX_N, parts)
 
@@ -221,11 +220,11 @@ class MeetingFrames:
             half_distance = self.radius * (0.6 + 1.4 * abs(np.cos(np.pi * k / 80)))
             truth = np.zeros(places.shape[1:], dtype=np.float32)
             for force, sign in ((0.8, 1), (0.5, -1)):
-                u = (
-                    np.linalg.norm(places - sign * half_distance * along, axis=0)
-                    / self.radius
-                )
-                np.maximum(truth, force * np.sqrt(np.maximum(0, 1 - u * u)), out=truth)
+                off = places - sign * half_distance * along
+                u = np.linalg.norm(off, axis=0) / self.radius
+                # Pressure under a sphere, Hertz 1881.
+                dome = force * np.sqrt(np.maximum(0, 1 - u * u))
+                np.maximum(truth, dome, out=truth)
             return truth, NOISE.apply(truth, rng)
 
         def parts() -> Iterable[Pairs]:
@@ -269,24 +268,30 @@ class PadFrames:
 
     def open(self, seed: int) -> Take:
         """See `Frames`."""
-        shape = (self.side, self.side)
         rng = np.random.default_rng((seed, self.n_coefficients))
-        basis = make_basis("haar", *shape)
-        truth = np.zeros(shape, np.float32)
+        truth = self._pads(rng)
+        pairs = [(truth, NOISE.apply(truth, rng)) for _ in range(self.n_frames)]
+        mask = np.ones(truth.shape, dtype=np.bool_)
+        return Take(mask, PAPER_F_MAX_N, lambda: [pairs], unscored=self.unscored)
+
+    def _pads(self, rng: np.random.Generator) -> Floats:
+        """Forces of pads that are added one by one, those left out that would be too many."""
+        basis = make_basis("haar", self.side, self.side)
+        truth = np.zeros((self.side, self.side), np.float32)
         for _ in range(MOST_PADS):
-            sides = rng.integers(1, MAX_PAD + 1, 2)
-            row, col = rng.integers(0, np.array(shape) - sides + 1)
+            height, width = rng.integers(1, MAX_PAD + 1, 2)
+            sides_left = np.array([self.side - height, self.side - width])
+            row, col = rng.integers(0, sides_left + 1)
             trial = truth.copy()
-            trial[row : row + sides[0], col : col + sides[1]] = rng.uniform(0.2, 1.5)
+            trial[row : row + height, col : col + width] = rng.uniform(0.2, 1.5)
+            # Coefficients that are rounding alone do not count.
             sizes = np.abs(basis.analysis(trial))
-            count = np.count_nonzero(sizes > 1e-5 * PAPER_F_MAX_N)  # beyond rounding
+            count = np.count_nonzero(sizes > 1e-5 * PAPER_F_MAX_N)
             if count <= self.n_coefficients:
                 truth = trial
                 if count > 0.9 * self.n_coefficients:
                     break
-        pairs = [(truth, NOISE.apply(truth, rng)) for _ in range(self.n_frames)]
-        mask = np.ones(shape, dtype=np.bool_)
-        return Take(mask, PAPER_F_MAX_N, lambda: [pairs], unscored=self.unscored)
+        return truth
 
 
 @dataclass(frozen=True)
@@ -310,17 +315,11 @@ class RecordedFrames:
         return Take(part.mask, part.f_max, lambda: [pairs], 0.0, *scaling)
 
 
-KINDS = {
-    kind.__name__: kind
-    for kind in (
-        SceneFrames,
-        PressFrames,
-        MeetingFrames,
-        UntouchedFrames,
-        PadFrames,
-        RecordedFrames,
-    )
-}
+_KINDS = (
+    *(SceneFrames, PressFrames, MeetingFrames),
+    *(UntouchedFrames, PadFrames, RecordedFrames),
+)
+KINDS = {kind.__name__: kind for kind in _KINDS}
 """Sources by the names with which points state them."""
 
 
@@ -374,14 +373,23 @@ def part_of(path: str, n_most: int) -> Part:
     touched = norms > 0
     if not touched.any():
         raise SparseskinError(f"{path}: nothing touches the skin, all readings are 0")
-    norm, total = (float(np.percentile(of[touched], 95)) for of in (norms, totals))
+    norm = float(np.percentile(norms[touched], 95))
     begin = _busiest(norms > LOADED * norm, n_most)
     part = slice(begin, begin + n_most)
     spacing_ms = 1e3 / float(read["rate_hz"]) if "rate_hz" in read else None
     pitch_mm = 1e3 * float(read["pitch_m"]) if "pitch_m" in read else None
-    of_recording = mask, float(read["f_max"]), read["unit"], spacing_ms, pitch_mm
     return Part(
-        frames[part], truth[part], *of_recording, begin, len(frames), norm, total
+        frames[part],
+        truth[part],
+        mask,
+        float(read["f_max"]),
+        read["unit"],
+        spacing_ms=spacing_ms,
+        pitch_mm=pitch_mm,
+        first=begin,
+        n_recorded=len(frames),
+        norm=norm,
+        total=float(np.percentile(totals[touched], 95)),
     )
 
 
@@ -391,7 +399,9 @@ def _busiest(loaded: np.ndarray[tuple[int], np.dtype[np.bool_]], n_most: int) ->
         return 0
     counts = np.convolve(loaded, np.ones(n_most, dtype=np.intp), "valid")
     best = np.flatnonzero(counts == counts.max())
-    return int(best[np.argmin(np.abs(best - (counts.size - 1) / 2))])
+    # Of several, the one nearest to the middle.
+    middle = (counts.size - 1) / 2
+    return int(best[np.argmin(np.abs(best - middle))])
 
 
 def files_in(folder: Path) -> list[Path]:
@@ -400,11 +410,10 @@ def files_in(folder: Path) -> list[Path]:
     """
     allowed = (*suffixes(), FILE_SUFFIX)
     try:
-        files = sorted(
-            path for path in folder.iterdir() if path.suffix.lower() in allowed
-        )
+        paths = sorted(folder.iterdir())
     except OSError as error:
         raise StudyError(f"--recordings {folder}: {error.strerror}") from error
+    files = [path for path in paths if path.suffix.lower() in allowed]
     if not files:
         raise StudyError(
             f"--recordings {folder}: no recording; allowed are {', '.join(allowed)}"

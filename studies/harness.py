@@ -60,6 +60,11 @@ class Measurement:
     block: int | None = None
     bits: int | None = None
 
+    @property
+    def of_compressor(self) -> dict[str, Any]:
+        """Settings of a compressor beside the ratio."""
+        return {"rows": self.rows, "phi": self.phi, "block": self.block}
+
 
 @dataclass(frozen=True)
 class Candidate:
@@ -97,6 +102,10 @@ class Candidate:
                 **{kind: lambda: Codec(mask, take.f_max, self.of) for kind in CODECS},
             }
             return makers[self.of]()
+        return self._method(at, take, seed)
+
+    def _method(self, at: Measurement, take: Take, seed: int) -> Estimator:
+        """A solver of measurements."""
         settings = dict(self.settings)
         if "lambda_n" in settings:
             settings["lambda_n"] *= take.f_max / PAPER_F_MAX_N
@@ -105,15 +114,18 @@ class Candidate:
         if phi_fact(phi_class(at.phi), "choice"):
             # As many rows as fit, with the code of their choice, into the bytes of M; M is rounded
             # down, and a half keeps it from rounding errors.
-            rows = values_that_fit(at.phi, mask, m_of(take.n, at.ratio))
+            rows = values_that_fit(at.phi, take.mask, m_of(take.n, at.ratio))
             at = replace(at, ratio=take.n / (rows + 0.5))
-        skin: dict[str, Any] = {
-            "mask": mask,
-            "f_max_n": take.f_max,
-            "sigma_end": take.sigma_end,
-        }
-        how: dict[str, Any] = {"rows": at.rows, "phi": at.phi, "block": at.block}
-        method = make_method(settings, mask.shape, at.ratio, seed, **how, **skin)
+        method = make_method(
+            settings,
+            take.mask.shape,
+            at.ratio,
+            seed,
+            mask=take.mask,
+            f_max_n=take.f_max,
+            sigma_end=take.sigma_end,
+            **at.of_compressor,
+        )
         method.bits = at.bits
         return Alone(method) if self.alone else method
 
@@ -137,8 +149,8 @@ def _first_phi(at: Measurement, take: Take, seed: int) -> Phi:
     """Measurement matrix of the first frame of a take."""
     n_rows, n_cols = take.mask.shape
     skin = Skin(n_rows, n_cols, take.f_max, mask=take.mask)
-    how: dict[str, Any] = {"rows": at.rows, "phi": at.phi, "block": at.block}
-    return CompressorSettings(ratio=at.ratio, seed=seed, **how).phis(skin)[0]
+    settings = CompressorSettings(ratio=at.ratio, seed=seed, **at.of_compressor)
+    return settings.phis(skin)[0]
 
 
 @dataclass(frozen=True)
@@ -158,28 +170,19 @@ class Experiment:
 
     def points(self) -> list[dict[str, Any]]:
         """Points as `scored` takes them."""
-        candidates = {
-            name: asdict(candidate) for name, candidate in self.candidates.items()
-        }
+        candidates = {name: asdict(each) for name, each in self.candidates.items()}
         groups = [candidates]
         if self.timed:
             # Alone: candidates of one point run in turn.
             groups = [{name: candidate} for name, candidate in candidates.items()]
-        return [
-            {
-                "frames": frames,
-                "measurement": measurement,
-                "candidates": group,
-                "seed": seed,
-                "scores": list(self.scores),
-            }
-            for frames, measurement, group, seed in product(
-                map(stated, self.frames),
-                map(asdict, self.measurements),
-                groups,
-                self.seeds,
-            )
-        ]
+        frames = map(stated, self.frames)
+        measurements = map(asdict, self.measurements)
+        keys = ("frames", "measurement", "candidates", "seed")
+        points = []
+        for values in product(frames, measurements, groups, self.seeds):
+            point = dict(zip(keys, values, strict=True))
+            points.append({**point, "scores": list(self.scores)})
+        return points
 
     def run(self, out: Path, executor: str) -> pd.DataFrame:
         """Compute what is not known yet in the folder of the study; see `points.compute`. A row a
@@ -187,9 +190,9 @@ class Experiment:
         its scores, and refused: why it could not be run, or "".
         """
         points = self.points()
-        results = compute(
-            scored, points, out, TIMED_ON if self.timed else executor, self.label
-        )
+        if self.timed:
+            executor = TIMED_ON
+        results = compute(scored, points, out, executor, self.label)
         keys = [{**p["frames"], **p["measurement"], "seed": p["seed"]} for p in points]
         return method_rows(keys, results).drop(columns="kind", errors="ignore")
 
@@ -216,9 +219,9 @@ def scored(point: dict[str, Any]) -> dict[str, Any]:
         evaluate(estimators, part, scores, take.unscored)
     methods = {}
     for name, score in scores.items():
-        figures = {
-            of: None if score.refused else SCORES[of](score) for of in point["scores"]
-        }
+        figures = dict.fromkeys(point["scores"])
+        if not score.refused:
+            figures = {of: SCORES[of](score) for of in figures}
         methods[name] = {"refused": score.refused, **figures}
     return {"methods": methods}
 
@@ -231,11 +234,11 @@ def method_rows(
     """A row a point and method: keys of the point, the method in column `name`, its figures of
     `found`.
     """
-    return pd.DataFrame(
-        {**key, name: method, **figures}
-        for key, of in zip(keys, found, strict=True)
-        for method, figures in of["methods"].items()
-    )
+    rows = []
+    for key, of_point in zip(keys, found, strict=True):
+        for method, figures in of_point["methods"].items():
+            rows.append({**key, name: method, **figures})
+    return pd.DataFrame(rows)
 
 
 def unrefused(rows: pd.DataFrame) -> pd.DataFrame:
@@ -257,10 +260,8 @@ def _percentile(
 
 def _firsts(scores: Scores) -> list[bool]:
     """Marks of the contact frames whose last one was not in contact."""
-    return [
-        touches and not touched
-        for touched, touches in pairwise([False, *scores.contact])
-    ]
+    pairs = pairwise([False, *scores.contact])
+    return [touches and not touched for touched, touches in pairs]
 
 
 def _touched_mn(scores: Scores) -> float | None:
@@ -277,9 +278,9 @@ def _flagged(scores: Scores, least: float, most: float) -> list[bool]:
 
 def _marked(scores: Scores) -> list[float]:
     """Relative errors of the contact frames that are marked."""
-    return [
-        relative for flag, relative in scores.flags if flag and not math.isnan(relative)
-    ]
+    # The relative error of a frame without contact is NaN.
+    errors = [relative for is_flagged, relative in scores.flags if is_flagged]
+    return [relative for relative in errors if not math.isnan(relative)]
 
 
 def _of_contact(score: Callable[[Scores], Any]) -> Callable[[Scores], Any]:

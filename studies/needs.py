@@ -73,17 +73,15 @@ class Variant:
 def variants(scene: Scene) -> dict[str, Variant]:
     """All variants of a scene, by name."""
     surface = scene.surface
-    dof = scene.dof
     grounded = surface.ground_drop_m is not None
     needles = next(body(0.0) for body in BODIES if body(TAXEL_RADIUS_M) is scene.body)
     other_ground = replace(surface, ground_drop_m=None) if grounded else SKIN_ON_GROUND
     steps = FINER * scene.n_steps
     step_ns = scene.dt_ns // FINER
     finer = Variant(False, replace(scene, n_steps=steps, dt_ns=step_ns), finer=FINER)
+    undamped = replace(surface, damping=0.0)
     variants = {
-        "damping of the skin": Variant(
-            True, replace(scene, surface=replace(surface, damping=0.0))
-        ),
+        "damping of the skin": Variant(True, replace(scene, surface=undamped)),
         "round taxels": Variant(True, replace(scene, body=needles)),
         "moving average": Variant(True, scene, smoothing_steps=1),
         "pitch": _with_or_without(scene, "pitch"),
@@ -92,24 +90,20 @@ def variants(scene: Scene) -> dict[str, Variant]:
         "steps a tenth as long": finer,
     }
     if grounded:
-        deadened = replace(surface, ground_damping=0.0)
-        variants["damping of the ground"] = Variant(
-            True, replace(scene, surface=deadened)
-        )
-    if len(dof) == 1:
-        variants["pitch and roll"] = Variant(
-            False, replace(scene, dof=("z", "pitch", "roll"))
-        )
+        bouncing = replace(scene, surface=replace(surface, ground_damping=0.0))
+        variants["damping of the ground"] = Variant(True, bouncing)
+    if len(scene.dof) == 1:
+        free = replace(scene, dof=("z", "pitch", "roll"))
+        variants["pitch and roll"] = Variant(False, free)
     return variants
 
 
 def _with_or_without(scene: Scene, axis: Any) -> Variant:
     carried = axis in scene.dof
+    dof = (*scene.dof, axis)
     if carried:
-        return Variant(
-            True, replace(scene, dof=tuple(a for a in scene.dof if a != axis))
-        )
-    return Variant(False, replace(scene, dof=(*scene.dof, axis)))
+        dof = tuple(a for a in scene.dof if a != axis)
+    return Variant(carried, replace(scene, dof=dof))
 
 
 def measure(point: dict[str, Any]) -> dict[str, Any]:
@@ -127,9 +121,8 @@ def measure(point: dict[str, Any]) -> dict[str, Any]:
     rng = np.random.default_rng(point["seed"])
     changes = []
     noises = []
-    for ours, theirs in zip(
-        Variant(True, scene).frames(), variant.frames(), strict=True
-    ):
+    unchanged = Variant(True, scene)
+    for ours, theirs in zip(unchanged.frames(), variant.frames(), strict=True):
         if any(in_contact(frame, scene.f_max_n) for frame in (ours, theirs)):
             noise = noise_model.apply(ours, rng) - ours
             changes.append(float(np.mean(np.square(theirs - ours), dtype=np.float64)))
@@ -151,27 +144,25 @@ def decibels(error: float, f_max_n: float) -> float:
 
 def points(quick: bool, seed: int) -> list[dict[str, Any]]:
     """Every variant of every scene; quick: of three of them, as far as the first bounces."""
-    n_steps = QUICK_STEPS if quick else None
-    return [
-        {"scene": scene, "variant": variant, "n_steps": n_steps, "seed": seed}
-        for scene in (QUICK_SCENES if quick else SCENES)
-        for variant in variants(SCENES[scene]())
-    ]
+    common = {"n_steps": QUICK_STEPS if quick else None, "seed": seed}
+    points = []
+    for scene in QUICK_SCENES if quick else SCENES:
+        for variant in variants(SCENES[scene]()):
+            points.append({"scene": scene, "variant": variant, **common})
+    return points
 
 
 def run(out: Path, quick: bool, seed: int, executor: str) -> list[str]:
     """Compute the study, write its page and return its conclusion; see `command.Study`."""
-    rows = pd.DataFrame(
-        compute_rows(measure, points(quick, seed), out, executor, "scene needs")
-    )
+    computed = compute_rows(measure, points(quick, seed), out, executor, "scene needs")
+    rows = pd.DataFrame(computed)
     rows["verdict"] = rows.apply(verdict, axis=1)
     page = Page(out, "scene-needs", Path(__file__).with_suffix(".md"), quick)
     page.section("", _draw(out, rows), summary(rows))
-    tables = [
-        (f"**{scene}**", _table(of_scene))
-        for scene, of_scene in rows.groupby("scene", sort=False)
-    ]
-    page.section("Each scene", *(part for pair in tables for part in pair))
+    parts: list[Any] = []
+    for scene, of_scene in rows.groupby("scene", sort=False):
+        parts += [f"**{scene}**", _table(of_scene)]
+    page.section("Each scene", *parts)
     page.csv("scene-needs", rows)
     lines = conclusion(rows)
     page.write(lines)
@@ -218,11 +209,12 @@ def _table(rows: pd.DataFrame) -> pd.DataFrame:
     """Figures of one scene."""
     verdicts = []
     for row in rows.to_dict("records"):
-        left_out = LEFT_OUT.get((row["scene"], row["variant"]))
-        reason = {"kept": KEPT.get(row["variant"]), "left out": left_out}.get(
-            row["verdict"]
-        )
-        verdicts.append(f"{row['verdict']}: {reason}" if reason else row["verdict"])
+        text = row["verdict"]
+        if text == "kept":
+            text += f": {KEPT[row['variant']]}"
+        elif text == "left out":
+            text += f": {LEFT_OUT[row['scene'], row['variant']]}"
+        verdicts.append(text)
     return pd.DataFrame(
         {
             "variant": np.where(rows["carried"], "without ", "with ") + rows["variant"],
@@ -242,14 +234,15 @@ CHANGES_DB = (10.0, 105.0)
 def _draw(out: Path, rows: pd.DataFrame) -> str:
     scenes = list(rows["scene"].unique())
     names = list(rows["variant"].unique())[::-1]
-    caption = (
-        "Change of each scene's frames, in dB as PSNR: the further left, the larger."
+    quantity = "Change of each scene's frames, in dB as PSNR"
+    caption = f"{quantity}: the further left, the larger."
+    size_in = (9.5, 3.2 * -(-len(scenes) // 3) + 1.1)
+    chart = Chart(
+        *(out, "scene-needs", caption, len(scenes), 3),
+        size_in=size_in,
+        legend_columns=5,
     )
-    how: dict[str, Any] = {
-        "size_in": (9.5, 3.2 * -(-len(scenes) // 3) + 1.1),
-        "legend_columns": 5,
-    }
-    with Chart(out, "scene-needs", caption, len(scenes), 3, **how) as chart:
+    with chart:
         for k, (axes, scene) in enumerate(zip(chart.panels, scenes, strict=True)):
             of_scene = rows[rows["scene"] == scene]
             _mark_noise(axes, of_scene["noise_db"].iloc[0], len(names))
@@ -267,15 +260,9 @@ def _draw(out: Path, rows: pd.DataFrame) -> str:
 
 def _mark_noise(axes: Any, noise_db: float, n_names: int) -> None:
     """Shade the changes that are larger than the noise, and say what either side means."""
-    axes.axvspan(
-        CHANGES_DB[0], noise_db, color="#dddddd", zorder=0, label="above the noise"
-    )
-    style: dict[str, Any] = {
-        "ha": "center",
-        "va": "top",
-        "color": "0.3",
-        "fontsize": 8,
-    }
+    shade = {"color": "#dddddd", "zorder": 0, "label": "above the noise"}
+    axes.axvspan(CHANGES_DB[0], noise_db, **shade)
+    style = {"ha": "center", "va": "top", "color": "0.3", "fontsize": 8}
     texts = "above the noise:\nneeded", "below the noise:\ncan be left out"
     for edge, text in zip(CHANGES_DB, texts, strict=True):
         axes.text((edge + noise_db) / 2, n_names + 0.75, text, **style)

@@ -41,8 +41,10 @@ class Timing:
 
     untouched: int = N_BEFORE
     ramp: int = RAMP
-    pause: int = 10  # between two contacts
-    contact: int = 20  # of one that begins and ends at once
+    # Between two contacts.
+    pause: int = 10
+    # Of one that begins and ends at once.
+    contact: int = 20
 
 
 def press_frames(

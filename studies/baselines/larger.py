@@ -36,8 +36,10 @@ def neighbours(mask: Mask, m: int) -> Indices:
         Number of the group of each taxel, 0..m - 1, taxels row by row.
     """
     rows, cols = np.nonzero(mask)
-    n_bands = max(1, round(math.sqrt(m * mask.shape[0] / mask.shape[1])))
-    band = rows * min(n_bands, mask.shape[0]) // mask.shape[0]
+    n_rows, n_cols = mask.shape
+    n_bands = max(1, round(math.sqrt(m * n_rows / n_cols)))
+    band = rows * min(n_bands, n_rows) // n_rows
+    # Back through every second band.
     along = np.where(band % 2, -cols, cols)
     path = np.lexsort((rows, along, band))
 
@@ -74,9 +76,8 @@ class LargerTaxels:
 
     def sums(self, taxels: Floats) -> Floats:
         """Readings of the larger taxels: float32 (m,), newtons, of (n_rows, n_cols) taxels."""
-        return np.bincount(self.groups, taxels[self._mask], self.n_values).astype(
-            np.float32
-        )
+        sums = np.bincount(self.groups, taxels[self._mask], self.n_values)
+        return sums.astype(np.float32)
 
     def reconstruct(self, taxels: Floats) -> Solved:
         """See `Estimator`; the time is that of the interpolation."""
@@ -94,17 +95,20 @@ class LargerTaxels:
 
     def spread(self, sums: Floats) -> Floats:
         """Forces of the small taxels, float32 (n_rows, n_cols), of `sums` of the groups, (m,)."""
+        mask = self._mask
+        groups = self.groups
         sums_of_groups = np.maximum(sums, 0).astype(np.float64)
-        image = np.zeros(self._mask.shape)
-        image[self._mask] = (sums_of_groups / self.sizes)[self.groups]
+        image = np.zeros(mask.shape)
+        image[mask] = (sums_of_groups / self.sizes)[groups]
         for _ in range(STEPS):
-            smooth = _mean_of_near(image)[self._mask] / self._n_near
-            missing = (sums_of_groups - np.bincount(self.groups, smooth)) / self.sizes
-            forces = np.maximum(smooth + missing[self.groups], 0)
+            # The mean of neighbours, and then in each group what it lacks in the sum.
+            smooth = _mean_of_near(image)[mask] / self._n_near
+            missing = (sums_of_groups - np.bincount(groups, smooth)) / self.sizes
+            forces = np.maximum(smooth + missing[groups], 0)
 
-            # Negative forces were cut off: what is left is scaled.
-            totals = np.maximum(np.bincount(self.groups, forces), 1e-30)
-            image[self._mask] = forces * (sums_of_groups / totals)[self.groups]
+            # Negative forces were cut off: the others are scaled.
+            totals = np.maximum(np.bincount(groups, forces), 1e-30)
+            image[mask] = forces * (sums_of_groups / totals)[groups]
         return image.astype(np.float32)
 
 

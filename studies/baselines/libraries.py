@@ -41,19 +41,13 @@ class Bpdn:
 
     def forward(self, theta: Any) -> Floats:
         """A theta: shape (n,) to (m,)."""
-        return self.phi.forward(
-            self.basis.synthesis(theta.reshape(self.grid)).reshape(-1)
-        )
+        image = self.basis.synthesis(theta.reshape(self.grid))
+        return self.phi.forward(image.reshape(-1))
 
     def adjoint(self, y: Any) -> Floats:
         """A^T y: shape (m,) to (n,)."""
-        return self.basis.analysis(self.phi.adjoint(y).reshape(self.grid)).reshape(-1)
-
-    def objective(self, theta: Any, y: Floats) -> float:
-        """The value that is minimised, in newtons squared (theta in newtons)."""
-        residual = self.forward(theta).astype(np.float64) - y
-        l1 = np.abs(theta, dtype=np.float64).sum()
-        return float(0.5 * residual @ residual + self.lambda_n * l1)
+        image = self.phi.adjoint(y).reshape(self.grid)
+        return self.basis.analysis(image).reshape(-1)
 
     def image(self, theta: Any) -> Floats:
         """Forces that belong to theta, negative ones set to 0: shape (n_rows, n_cols)."""
@@ -90,12 +84,9 @@ def _pylops(problem: Bpdn) -> Solve:
     from pylops.optimization.sparsity import fista
 
     operator = _pylops_operator(problem)
-    settings = {
-        "eps": 2 * problem.lambda_n,
-        "alpha": 1.0,
-        "tol": 0,
-        "preallocate": True,
-    }
+    settings: dict[str, Any] = {"eps": 2 * problem.lambda_n, "alpha": 1.0}
+    # A tolerance of 0: all iterations are made, as by the others.
+    settings |= {"tol": 0, "preallocate": True}
 
     def solve(y: Floats, start: Floats, iterations: int) -> Any:
         return fista(operator, y, x0=start, niter=iterations, **settings)[0]
@@ -130,11 +121,11 @@ def _sigpy(problem: Bpdn) -> Solve:
     settings = {"proxg": proximal, "alpha": 1.0, "show_pbar": False}
 
     def solve(y: Floats, start: Floats, iterations: int) -> Any:
-        solver = sigpy.app.LinearLeastSquares
-        with np.errstate(invalid="ignore"):  # its soft threshold divides 0 by 0
-            return solver(
-                operator, y, x=start.copy(), max_iter=iterations, **settings
-            ).run()
+        of_call = {"x": start.copy(), "max_iter": iterations}
+        # Its soft threshold divides 0 by 0.
+        with np.errstate(invalid="ignore"):
+            solver = sigpy.app.LinearLeastSquares(operator, y, **of_call, **settings)
+            return solver.run()
 
     return solve
 
@@ -214,9 +205,8 @@ class TotalVariation:
 
     def _image(self, y: Any) -> Floats:
         image = np.zeros(self._mask.shape, dtype=np.float32)
-        image.reshape(-1)[self._flat] = self._phi.adjoint(
-            np.asarray(y, dtype=np.float32)
-        )
+        measurements = np.asarray(y, dtype=np.float32)
+        image.reshape(-1)[self._flat] = self._phi.adjoint(measurements)
         return image
 
     def reconstruct(self, taxels: Floats) -> Solved:
@@ -225,7 +215,8 @@ class TotalVariation:
 
         y = self._phi.forward(taxels[self._mask])
         begin = time.perf_counter()
-        with np.errstate(invalid="ignore"):  # its soft threshold divides 0 by 0
+        # Its soft threshold divides 0 by 0.
+        with np.errstate(invalid="ignore"):
             solver = sigpy.app.LinearLeastSquares
             x = solver(self._operator, y, show_pbar=False, **self._settings).run()
         forces = np.where(self._mask, np.maximum(x, 0), 0).astype(np.float32)

@@ -68,7 +68,8 @@ class Lattice:
         self._nearest = cKDTree(read_places).query(self._places)[1]
         self._mask = mask
         self._triangles: Delaunay | None = None
-        with suppress(QhullError):  # no area between them: the nearest
+        # Taxels on one line have no area between them: the nearest one counts.
+        with suppress(QhullError):
             self._triangles = Delaunay(read_places)
         self.n_values = self._read.size
 
@@ -125,8 +126,10 @@ class Codec:
             n_touched = int(np.count_nonzero(codes))
             n_bytes = n_touched + address_bytes(codes.size, n_touched)
         else:
+            sent = codes
             # Differences modulo 256: as good as signed ones, and in 8 bits.
-            sent = codes - self._before if self._kind == "zstd of change" else codes
+            if self._kind == "zstd of change":
+                sent = codes - self._before
             n_bytes = len(self._packer.compress(sent.tobytes()))
             self._before = codes
         forces = np.zeros(taxels.size, dtype=np.float32)
@@ -141,13 +144,11 @@ def classes(mask: Mask, k: int) -> list[Indices]:
     class is largest. Returns places in the flat grid, ascending; successive classes are far apart.
     """
     i, j = np.indices(mask.shape)
-    number = (i + (1 if min(mask.shape) == 1 else _slope(k)) * j) % k
+    slope = 1 if min(mask.shape) == 1 else _slope(k)
+    number = (i + slope * j) % k
     # As the golden ratio: of few successive classes, none are neighbours.
-    stride = next(
-        step
-        for step in range(max(1, round(0.382 * k)), k + 1)
-        if math.gcd(step, k) == 1
-    )
+    strides = range(max(1, round(0.382 * k)), k + 1)
+    stride = next(step for step in strides if math.gcd(step, k) == 1)
     order = [turn * stride % k for turn in range(k)]
     return [np.flatnonzero(mask & (number == turn)) for turn in order]
 
@@ -156,18 +157,17 @@ def classes(mask: Mask, k: int) -> list[Indices]:
 def _slope(k: int) -> int:
     """Return s of the lattice of cells with (i + s j) mod k = 0 whose least distance is largest."""
 
+    i, j = np.mgrid[-k : k + 1, -k : k + 1]
+    distance2 = i * i + j * j
+
     def least(s: int) -> int:
-        near = range(-k, k + 1)
-        return min(
-            i * i + j * j
-            for i in near
-            for j in near
-            if (i or j) and (i + s * j) % k == 0
-        )
+        is_of_class = ((i + s * j) % k == 0) & (distance2 > 0)
+        return int(distance2[is_of_class].min())
 
     return max(range(k), key=least)
 
 
 def address_bytes(n: int, m: int) -> int:
     """Bytes that state which m of n taxels are sent: a bit a taxel, or a number each."""
-    return min(math.ceil(n / 8), math.ceil(m * max(1, (n - 1).bit_length()) / 8))
+    number_bits = max(1, (n - 1).bit_length())
+    return min(math.ceil(n / 8), math.ceil(m * number_bits / 8))

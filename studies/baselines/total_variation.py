@@ -89,9 +89,8 @@ class TvSolver(Solver):
         half = np.float32(HALF * self.lambda_n + 1e-30)
         for axis, pairs in enumerate(self._pairs):
             difference = np.abs(np.diff(self._image, axis=axis))
-            self._limits[axis] = (
-                self._lambda_step * pairs * (half / (half + difference))
-            )
+            weights = half / (half + difference)
+            self._limits[axis] = self._lambda_step * pairs * weights
         self._steps_left = self.n_steps
 
     def step(self) -> None:
@@ -101,10 +100,9 @@ class TvSolver(Solver):
         u.reshape(-1)[self.taxels] += self._step * self.phi.adjoint(residual)
         for _ in range(DUAL_STEPS):
             image = self._primal(u)
-            for axis, (dual, limit) in enumerate(
-                zip(self._duals, self._limits, strict=True)
-            ):
+            for axis, dual in enumerate(self._duals):
                 dual += np.float32(DUAL_STEP) * np.diff(image, axis=axis)
+                limit = self._limits[axis]
                 np.clip(dual, -limit, limit, out=dual)
         self._image = self._primal(u)
 

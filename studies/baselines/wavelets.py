@@ -72,13 +72,13 @@ def _level_matrix(wavelet: str, n: int) -> Doubles:
     n_paired = n - n % 2
     level: Doubles = np.eye(n)
     if n_paired:
-        parts = pywt.dwt(
-            np.eye(n_paired), _orthogonal(wavelet), mode="periodization", axis=0
-        )
+        unit = np.eye(n_paired)
+        filters = _orthogonal(wavelet)
+        means, details = pywt.dwt(unit, filters, mode="periodization", axis=0)
         half = n_paired // 2
         level = np.zeros((n, n))
-        level[:half, :n_paired] = parts[0]
-        level[n - half :, :n_paired] = parts[1]
+        level[:half, :n_paired] = means
+        level[n - half :, :n_paired] = details
         if n % 2:
             level[half, n - 1] = 1.0
     return level

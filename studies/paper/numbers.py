@@ -36,11 +36,15 @@ class Scenario(NamedTuple):
 
     title: str
     n: int
-    steps: int  # table I
-    d2: Counts  # table II
+    # Table I.
+    steps: int
+    # Table II.
+    d2: Counts
     d4: Counts
-    noisy: Psnr  # tables III and IV
-    third_table: tuple[Psnr, Psnr, Psnr]  # for each of `RATIOS`, 30 iterations
+    # Tables III and IV.
+    noisy: Psnr
+    # For each of `RATIOS`, 30 iterations.
+    third_table: tuple[Psnr, Psnr, Psnr]
     # Table IV, for each of `ITERATIONS`, M = N/3: least PSNR, mean time a frame.
     lows_db: tuple[float, float, float]
     times_ms: tuple[float, float, float]

@@ -177,7 +177,8 @@ def stages_ns(sensor: Times, edge: Times, host: Times) -> Times:
 def _waited(reader: Times, sent: Times, came: Times, free: Times) -> Times:
     """Time from sending each message until its reader was done with the one before, ns."""
     gap = np.diff(reader[:, 0], prepend=reader[0, 0])
-    free_before = np.concatenate([[0], free[:-1]]) - gap  # from this frame's stamp on
+    # From this frame's stamp on.
+    free_before = np.concatenate([[0], free[:-1]]) - gap
     free_before[0] = sent[0]
     waited: Times = np.clip(np.minimum(free_before, came) - sent, 0, None)
     return waited

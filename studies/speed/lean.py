@@ -129,7 +129,8 @@ def _sensor(
 ) -> None:
     source = _source(point)
     writer.send(GO)
-    begin.recv()  # the host has a solver
+    # The host has a solver.
+    begin.recv()
     period_ns = round(1e9 / point["rate_hz"])
     begin_ns = time.monotonic_ns()
     frames: Iterator[tuple[int, Floats]] = iter(source)

@@ -36,7 +36,8 @@ class _Timed(Node[Any]):
         """Yield the messages of a step; note came, what `_inside` adds, and sent of one type."""
         came_ns = self.context.clock.now_ns()
         for message in step(what):
-            yield message  # it has been sent when the runner asks for the next one
+            # It has been sent when the runner asks for the next one.
+            yield message
             if isinstance(message, timed):
                 times_ns = (
                     *self._inside(message, came_ns),

@@ -152,7 +152,8 @@ class _Labels:
 
     def __init__(self, axes: Axes, points: pd.DataFrame) -> None:
         self._axes = axes
-        canvas: Any = FigureCanvasAgg(axes.figure.figure)  # as of `Chart`
+        # As of `Chart`.
+        canvas: Any = FigureCanvasAgg(axes.figure.figure)
         self._renderer = canvas.get_renderer()
         places = axes.transData.transform(
             points[["median_ms", "mean_db"]].to_numpy(float)

@@ -100,7 +100,8 @@ def experiments(quick: bool, seed: int) -> Iterator[Experiment]:
                 for value in values
             }
         if key == "noise":
-            candidates |= LARGER  # nothing else is a setting of them
+            # Nothing else is a setting of them.
+            candidates |= LARGER
         scores = ("mean_db", "touched_mn")
         yield Experiment(
             key, frames, measurements, candidates | READINGS, scores, (seed,)

@@ -142,7 +142,8 @@ class World:
             truth = self.truth(k)
             healthy = self.noise.apply(truth, rng) * self.exists
             readings = spoiler.spoil(healthy)
-            assert readings is not None  # no fault of taxels loses frames
+            # No fault of taxels loses frames.
+            assert readings is not None
             yield Frame(truth, healthy, readings, spoiler.is_empty)
 
     def spoiler(self, of_taxels: bool) -> Spoiler:

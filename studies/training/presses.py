@@ -124,12 +124,14 @@ def shapes(rng: np.random.Generator) -> Shape:
     """Draw a shape: its pressure by coordinates along and across, in taxels, from its centre."""
     a, b = np.exp(rng.uniform(math.log(0.8), math.log(12.0), 2))
     which = rng.integers(8)
-    if which == 0:  # a box, or a superellipse
+    if which == 0:
+        # A box, or a superellipse.
         power = rng.choice([2.0, 4.0, 16.0])
         return lambda x, y: _inside(
             1 - (np.abs(x / a) ** power + np.abs(y / b) ** power), a, b
         )
-    if which == 1:  # a frame
+    if which == 1:
+        # A frame.
         wall = rng.uniform(0.6, 3.0)
 
         def frame(x: Doubles, y: Doubles) -> Doubles:
@@ -137,11 +139,14 @@ def shapes(rng: np.random.Generator) -> Shape:
             return _step(-np.maximum(outer, -np.maximum(np.abs(x) - a, np.abs(y) - b)))
 
         return frame
-    if which == 2:  # a fingertip, by Hertz
+    if which == 2:
+        # A fingertip, by Hertz.
         return lambda x, y: np.sqrt(np.maximum(0, 1 - (x / a) ** 2 - (y / b) ** 2))
-    if which == 3:  # a soft pad
+    if which == 3:
+        # A soft pad.
         return lambda x, y: np.exp(-((x / a) ** 2) - (y / b) ** 2)
-    if which == 4:  # a tool: a shaft with a head, or with two
+    if which == 4:
+        # A tool: a shaft with a head, or with two.
         shaft = rng.uniform(0.6, 2.0)
         head = rng.uniform(1.5, 5.0)
         gap = rng.uniform(0, 0.8) * head
@@ -155,7 +160,8 @@ def shapes(rng: np.random.Generator) -> Shape:
             return _step(-inside)
 
         return tool
-    if which == 5:  # a foot: heel, ball and toes
+    if which == 5:
+        # A foot: heel, ball and toes.
         toes = rng.uniform(-1, 1, 4)
 
         def foot(x: Doubles, y: Doubles) -> Doubles:
@@ -171,7 +177,8 @@ def shapes(rng: np.random.Generator) -> Shape:
         rng_level = rng.uniform(0.4, 1.4)
         bridge = rng.uniform(0, 0.4)
         return foot
-    if which == 6:  # a peg of a few taxels
+    if which == 6:
+        # A peg of a few taxels.
         r = rng.uniform(0.5, 2.5)
         return lambda x, y: _step(r - np.hypot(x, y))
     # Ripples under a pad.

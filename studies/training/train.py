@@ -28,7 +28,8 @@ def run(out: Path, quick: bool, seed: int, executor: str) -> list[str]:
             "study train: torch is not installed: pip install 'sparseskin[train]'"
         )
     n_presses, n_batches = (400, 1500) if quick else (24_000, 42_000)
-    from .network import BATCH, trained  # needs torch
+    # Needs torch.
+    from .network import BATCH, trained
 
     network, rows, scores = trained(n_presses, n_batches, seed)
     content = BytesIO()
