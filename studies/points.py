@@ -74,10 +74,8 @@ def compute(
             set(keys),
             [records[k]["code"] != code for k in set(keys) & set(figures_of_key)],
         )
-        names = {
-            "label": label,
-            "function": f"{function.__module__}:{function.__qualname__}",
-        }
+        name = f"{function.__module__}:{function.__qualname__}"
+        names = {"label": label, "function": name}
         bare = not missing or not sys.stderr.isatty()
         with tqdm(total=len(missing), desc=label, unit="point", disable=bare) as bar:
             for key, figures in _computed(function, missing, executor_name):
@@ -89,10 +87,8 @@ def compute(
                 figures_of_key[key] = json.loads(line)["figures"]
                 bar.update()
         if missing and bare:
-            print(
-                f"{label}: {len(missing)} of {len(set(keys))} points computed",
-                file=sys.stderr,
-            )
+            text = f"{label}: {len(missing)} of {len(set(keys))} points computed"
+            print(text, file=sys.stderr)
     return [figures_of_key[key] for key in keys]
 
 
@@ -181,9 +177,8 @@ def _computed(
                 figures = future.result()
                 json.dumps(figures, allow_nan=False)
             except Exception as error:
-                point = ", ".join(
-                    f"{name} = {value}" for name, value in missing[key].items()
-                )
+                parameters = missing[key].items()
+                point = ", ".join(f"{name} = {value}" for name, value in parameters)
                 fault = error if isinstance(error, SparseskinError) else one_line(error)
                 raise StudyError(f"point {point}: {fault}") from error
             yield key, figures

@@ -89,12 +89,10 @@ def press_frames(
     """
     if mask is None:
         mask = np.ones(shape, dtype=np.bool_)
-    frames = _Press(body, mask, seed, course, speed, active, f_max, timing).frames(
-        n_frames
-    )
+    press = _Press(body, mask, seed, course, speed, active, f_max, timing)
     taxels = np.flatnonzero(mask)
     rng = np.random.default_rng([seed, 2])
-    for truth in frames:
+    for truth in press.frames(n_frames):
         reading = truth.copy()
         if noise is not None:
             reading.reshape(-1)[taxels] = noise.apply(truth.reshape(-1)[taxels], rng)
@@ -137,13 +135,10 @@ class _Press:
         self._peaks = f_max * rng.uniform(0.2, 0.9, n)
         # A path and a place of its own for each fingertip; one for all parts of another body.
         self._n_paths = n if body == "fingertips" else 1
-        spread = np.linspace(0, 2 * np.pi, self._n_paths, endpoint=False) + rng.uniform(
-            0, 7
-        )
-        self._anchors = (
-            0.28 * self._sides * np.stack([np.sin(spread), np.cos(spread)], axis=-1)
-        )
-        self._anchors *= self._n_paths > 1
+        spread = np.linspace(0, 2 * np.pi, self._n_paths, endpoint=False)
+        spread += rng.uniform(0, 7)
+        circle = np.stack([np.sin(spread), np.cos(spread)], axis=-1)
+        self._anchors = 0.28 * self._sides * circle * (self._n_paths > 1)
         angle = rng.uniform(0, 2 * np.pi, self._n_paths)
         along = np.stack([np.sin(angle), np.cos(angle)], axis=-1)
         along[:, self._sides == 1] = 0
@@ -172,9 +167,8 @@ class _Press:
         """Yield the true forces, some frames computed at once."""
         for begin in range(0, n_frames, _CHUNK):
             k = np.arange(begin, min(begin + _CHUNK, n_frames))
-            for force in self._forces(
-                self._places(k), self._angles(k), self._strength(k)
-            ):
+            forces = self._forces(self._places(k), self._angles(k), self._strength(k))
+            for force in forces:
                 yield np.where(self._mask, force, 0).astype(np.float32)
 
     def _strength(self, k: Indices) -> Doubles:
@@ -189,9 +183,8 @@ class _Press:
             falling = 2 * timing.ramp - phase - 1
             part = np.clip(np.minimum(rising, falling) / timing.ramp, 0, 1)
         else:
-            part = np.where(
-                since % (timing.contact + timing.pause) < timing.contact, 1.0, 0.0
-            )
+            phase = since % (timing.contact + timing.pause)
+            part = np.where(phase < timing.contact, 1.0, 0.0)
         strength: Doubles = np.where(since < 0, 0.0, part)
         return strength
 
@@ -208,9 +201,8 @@ class _Press:
         timing = self._timing
         turn = 0 * k
         if self._course == "sudden":
-            turn = np.maximum(k - timing.untouched, 0) // (
-                timing.contact + timing.pause
-            )
+            period_frames = timing.contact + timing.pause
+            turn = np.maximum(k - timing.untouched, 0) // period_frames
         places = middle + self._jumps[turn % len(self._jumps)]
         return np.broadcast_to(places, (len(k), self._n_paths, 2))
 
@@ -223,24 +215,17 @@ class _Press:
         """Forces on all cells, (frames, rows, columns)."""
         cos, sin = (of(angles)[:, None, None] for of in (np.cos, np.sin))
         force = np.zeros((len(places), *self._mask.shape))
-        for part, (field, peak) in enumerate(
-            zip(self._fields, self._peaks, strict=True)
-        ):
+        fields = zip(self._fields, self._peaks, strict=True)
+        for part, (field, peak) in enumerate(fields):
             path = part if self._n_paths > 1 else 0
             place = places[:, path] + self._anchors[path]
             i = self._i - place[:, 0, None, None]
             j = self._j - place[:, 1, None, None]
-            u = cos * j + sin * i
-            v = cos * i - sin * j
-            u, v = (
-                u / self._size - self._beside[part, 0],
-                v / self._size - self._beside[part, 1],
-            )
-            np.maximum(
-                force,
-                peak * field(u * self._size, v * self._size, self._size),
-                out=force,
-            )
+            # The middle of a part is in units of the size of the body.
+            u = (cos * j + sin * i) / self._size - self._beside[part, 0]
+            v = (cos * i - sin * j) / self._size - self._beside[part, 1]
+            of_part = peak * field(u * self._size, v * self._size, self._size)
+            np.maximum(force, of_part, out=force)
         force *= strength[:, None, None]
         return np.minimum(force, self._f_max, out=force)
 
@@ -273,17 +258,13 @@ def _edge(distance: Doubles) -> Doubles:
 def _make(body: str, rng: np.random.Generator) -> tuple[list[Field], Doubles]:
     """Return the parts of a body, and the middle of each in units of the body's size."""
     if body == "plate":
-        return [_box(1.0, rng.uniform(0.4, 1.0), rng.uniform(-0.3, 0.3))], np.zeros(
-            (1, 2)
-        )
+        plate = _box(1.0, rng.uniform(0.4, 1.0), rng.uniform(-0.3, 0.3))
+        return [plate], np.zeros((1, 2))
     if body == "peg":
         return [_disc(1.0)], np.zeros((1, 2))
     if body == "wrench":
-        parts = [
-            _box(1.0, 0.12, 0.2),
-            _box(0.1, 0.3, 0.0),
-            *[_box(0.15, 0.09, 0.0)] * 2,
-        ]
+        finger = _box(0.15, 0.09, 0.0)
+        parts = [_box(1.0, 0.12, 0.2), _box(0.1, 0.3, 0.0), finger, finger]
         return parts, np.array([[0.0, 0.0], [1.0, 0.0], [1.2, 0.22], [1.2, -0.22]])
     if body == "fingertips":
         n = int(rng.integers(3, 6))

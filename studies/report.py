@@ -51,7 +51,8 @@ _STYLE: Any = {
     "axes.spines.right": False,
     "legend.frameon": False,
     "lines.linewidth": 1.4,
-    "svg.hashsalt": "sparseskin",  # without it, the same chart is another file each time
+    # Without it, the same chart is another file each time.
+    "svg.hashsalt": "sparseskin",
 }
 
 
@@ -129,15 +130,15 @@ class Chart:
         if self._legend_columns:
             entries: dict[str, Any] = {}
             for axes in self.figure.axes:
-                for handle, label in zip(
-                    *axes.get_legend_handles_labels(), strict=True
-                ):
+                handles, labels = axes.get_legend_handles_labels()
+                for handle, label in zip(handles, labels, strict=True):
                     entries.setdefault(label, handle)
-            place: dict[str, Any] = {
-                "loc": "outside lower center",
-                "ncols": self._legend_columns,
-            }
-            self.figure.legend(list(entries.values()), list(entries), **place)
+            self.figure.legend(
+                list(entries.values()),
+                list(entries),
+                loc="outside lower center",
+                ncols=self._legend_columns,
+            )
         # The layout takes longer than the drawing, and each file would have four of its own; the
         # second one is nearer to the margins than the first.
         engine = self.figure.get_layout_engine()
@@ -184,12 +185,10 @@ def markdown(frame: pd.DataFrame, formats: Mapping[str, str] | str = "") -> str:
         formats if isinstance(formats, str) else formats.get(column, "")
         for column in frame
     ]
-    # Of objects, so that whole numbers stay such in a row with others.
     lines = [list(map(str, frame)), ["---"] * len(spec_of)]
+    # Of objects, so that whole numbers stay such in a row with others.
     for row in frame.astype(object).itertuples(index=False):
-        lines.append(
-            [cell(value, spec) for value, spec in zip(row, spec_of, strict=True)]
-        )
+        lines.append(list(map(cell, row, spec_of)))
     return "\n".join("| " + " | ".join(line) + " |" for line in lines)
 
 
@@ -213,9 +212,8 @@ class Page:
         self._name = name
         self._quick = quick
         self._command = command or f"study {name}{' --quick' if quick else ''}"
-        head, *parts = (
-            notes.read_text(encoding="utf-8").removeprefix("# ").split("\n## ")
-        )
+        text = notes.read_text(encoding="utf-8")
+        head, *parts = text.removeprefix("# ").split("\n## ")
         self._title, _, opening = head.partition("\n")
         self._notes = dict(part.split("\n", 1) for part in parts) | {"": opening}
         self._sections: list[tuple[str, list[str]]] = []
@@ -225,13 +223,12 @@ class Page:
         """Add a section: its text with these values, then parts that are not empty: Markdown or
         tables.
         """
-        texts_and_tables = [
-            self._notes[title].strip().format(**values),
-            *(p for p in parts if len(p)),
-        ]
-        texts = [
-            markdown(p) if isinstance(p, pd.DataFrame) else p for p in texts_and_tables
-        ]
+        texts = [self._notes[title].strip().format(**values)]
+        for part in parts:
+            if isinstance(part, pd.DataFrame):
+                # An empty table would be a heading without rows.
+                part = markdown(part) if len(part) else ""
+            texts.append(part)
         self._sections.append((title, list(filter(None, texts))))
 
     def csv(self, name: str, rows: Rows) -> None:

@@ -38,10 +38,7 @@ def plain(value: Any, full: bool) -> Any:
         return value.item()
     if not isinstance(value, np.ndarray):
         return value
-    summary: dict[str, Any] = {
-        "dtype": _dtype(value),
-        "shape": list(value.shape),
-    }
+    summary: dict[str, Any] = {"dtype": _dtype(value), "shape": list(value.shape)}
     if full:
         return summary | {"data": value.tolist()}
     if not value.size:
@@ -157,9 +154,8 @@ def _contact_lines(message: Contacts, unit: str) -> dict[str, Any]:
 def _contact_line(message: Contacts, k: int, unit: str) -> str:
     """Contact k as text."""
     # How strong, where, how large, and since when.
-    force = (
-        f"{message.total[k]:.4g} ± {message.total_sd[k]:.2g} {sum_unit(unit)}".rstrip()
-    )
+    total = f"{message.total[k]:.4g} ± {message.total_sd[k]:.2g}"
+    force = f"{total} {sum_unit(unit)}".rstrip()
     peak = f"peak {message.peak[k]:.3g}"
     if unit:
         peak += f" {unit}"
@@ -265,10 +261,9 @@ class Echo(Display):
     def finish(self) -> None:
         """Print how many messages were shown, where no number was asked for."""
         if self._n is None:
-            counts = (
-                f"{self._shown} shown, {self._skipped} not shown, {self._losses.n} lost"
-            )
-            print(f"{self._topic}: {counts}", file=sys.stderr)
+            counts = f"{self._shown} shown, {self._skipped} not shown"
+            text = f"{self._topic}: {counts}, {self._losses.n} lost"
+            print(text, file=sys.stderr)
 
     def text(self, message: Message) -> str:
         """A message as it is printed."""

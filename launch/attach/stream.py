@@ -154,10 +154,6 @@ class TopicStream:
         """Wait until a message is there, at most `timeout_s` seconds."""
         self._reader.socket.poll(math.ceil(1e3 * timeout_s))
 
-    def read(self) -> list[Arrival]:
-        """The messages that are there, at once; at most `BATCH`."""
-        return self._read()
-
     def graph_has_ended(self) -> bool:
         """True if the graph no longer runs: looked at every `LOOK_S` seconds."""
         now_s = time.monotonic()
@@ -195,10 +191,10 @@ class TopicStream:
             if remaining_s <= 0:
                 return
             if self.graph_has_ended():
-                yield self._read()
+                yield self.read()
                 return
 
-            yield self._read(self._wait_for_batch(remaining_s))
+            yield self.read(self._wait_for_batch(remaining_s))
 
     def _wait_for_batch(self, remaining_s: float) -> int | None:
         """Wait for messages, and while they wait to be read together; return the time at which the
@@ -213,8 +209,10 @@ class TopicStream:
         time.sleep(min(self._patience_s, remaining_s))
         return came_ns
 
-    def _read(self, came_ns: int | None = None) -> list[Arrival]:
-        """The messages that are there; `came_ns` is when the first came, where that is known."""
+    def read(self, came_ns: int | None = None) -> list[Arrival]:
+        """The messages that are there, at once, at most `BATCH`; `came_ns` is when the first came,
+        where that is known.
+        """
         arrivals: list[Arrival] = []
         self._drained = False
         woken = came_ns is not None

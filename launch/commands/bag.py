@@ -71,9 +71,8 @@ def _configure_export(export: argparse.ArgumentParser) -> None:
     export.add_argument(
         "--to", choices=export_names(), required=True, help="the format"
     )
-    about = (
-        "default: NAME and the ending of the format, as NAME.npz, NAME_csv, NAME_ros2"
-    )
+    names = "NAME.npz, NAME_csv, NAME_ros2"
+    about = f"default: NAME and the ending of the format, as {names}"
     export.add_argument("--out", metavar="PATH", type=Path, help=about)
     about = "only these topics; default: all with frames"
     export.add_argument("--topics", metavar="TOPIC", nargs="+", help=about)

@@ -79,9 +79,8 @@ def _head_lines(name: str, layout: Layout) -> list[str]:
     if head.rate_hz is not None:
         properties["rate"] = f"{head.rate_hz:g} Hz"
     if head.mask is not None:
-        properties["mask"] = (
-            f"{int(head.mask.sum())} of {head.mask.size} cells are taxels"
-        )
+        n_taxels = int(head.mask.sum())
+        properties["mask"] = f"{n_taxels} of {head.mask.size} cells are taxels"
     return facts(properties)
 
 

@@ -156,11 +156,8 @@ def _show_frames(
             if now_s >= next_s:
                 next_s = now_s + period_s
                 print(_shown_text(view, now_s, lively), end="", flush=True)
-            if (
-                view.n_frames == arguments.frames
-                or now_s >= end_s
-                or "q" in terminal.pressed()
-            ):
+            is_over = view.n_frames == arguments.frames or now_s >= end_s
+            if is_over or "q" in terminal.pressed():
                 break
 
 
@@ -255,10 +252,9 @@ class View:
         """Name, figures, what was dropped, and the last line of the source."""
         self.take_lines()
         skin = self._source.skin
-        title = (
-            f"{printable(self._source.name)}   {skin.n_rows} x {skin.n_cols} taxels, "
-        )
-        title += f"0..{skin.f_max:g} {printable(skin.unit)}   (q: quit)"
+        size = f"{skin.n_rows} x {skin.n_cols} taxels"
+        extent = f"0..{skin.f_max:g} {printable(skin.unit)}"
+        title = f"{printable(self._source.name)}   {size}, {extent}   (q: quit)"
         lines = [title, self.text(now_s)]
         if self.forces is not None:
             lines.append(f"mean {self.forces.mean():.4g}, brightest {self.top:.4g}")

@@ -49,6 +49,12 @@ class Bpdn:
         image = self.phi.adjoint(y).reshape(self.grid)
         return self.basis.analysis(image).reshape(-1)
 
+    def objective(self, theta: Any, y: Floats) -> float:
+        """The value that is minimised, in newtons squared (theta in newtons)."""
+        residual = self.forward(theta).astype(np.float64) - y
+        l1 = np.abs(theta, dtype=np.float64).sum()
+        return float(0.5 * residual @ residual + self.lambda_n * l1)
+
     def image(self, theta: Any) -> Floats:
         """Forces that belong to theta, negative ones set to 0: shape (n_rows, n_cols)."""
         return np.maximum(self.basis.synthesis(theta.reshape(self.grid)), 0)

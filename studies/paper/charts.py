@@ -24,31 +24,23 @@ def draw_maps(out: Path, scene: str, maps: Mapping[str, Any]) -> str:
     `maps`: by title the number of the frame, its maps, and the PSNR of taxels and of reconstructed
     forces in dB.
     """
-    caption = (
-        "Forces of DRAG WRENCH 64 x 64, reconstructed from 1365 numbers, 20 iterations."
-    )
+    source = "reconstructed from 1365 numbers, 20 iterations."
+    caption = f"Forces of DRAG WRENCH 64 x 64, {source}"
     n_rows = len(maps)
-    size_in = (9.0, 2.9 * n_rows + 0.4)
-    with Chart(
-        out, "maps", caption, 3 * n_rows, 3, size_in=size_in, legend_columns=0
-    ) as chart:
+    layout: dict[str, Any] = {"size_in": (9.0, 2.9 * n_rows + 0.4), "legend_columns": 0}
+    with Chart(out, "maps", caption, 3 * n_rows, 3, **layout) as chart:
         for k, (title, (frame, images, (noisy_db, ours_db))) in enumerate(maps.items()):
             row = chart.panels[3 * k : 3 * k + 3]
-            top = float(np.max(images[0]))
-            notes = (
-                "true",
-                f"noisy, {noisy_db:.1f} dB",
-                f"reconstructed, {ours_db:.1f} dB",
-            )
+            # One scale a row: its three maps are compared.
+            scale: Style = {"vmin": 0, "vmax": float(np.max(images[0]))}
+            noisy = f"noisy, {noisy_db:.1f} dB"
+            notes = ("true", noisy, f"reconstructed, {ours_db:.1f} dB")
             for axes, image, note in zip(row, images, notes, strict=True):
-                drawn = axes.imshow(
-                    image, vmin=0, vmax=top, cmap="viridis", origin="lower"
-                )
+                drawn = axes.imshow(image, cmap="viridis", origin="lower", **scale)
                 axes.set(title=note, xlabel="column")
                 axes.grid(False)
-            row[0].set_ylabel(
-                f"{title}, {frame * scene_of(scene).dt_ns * 1e-6:.1f} ms\nrow"
-            )
+            time_ms = frame * scene_of(scene).dt_ns * 1e-6
+            row[0].set_ylabel(f"{title}, {time_ms:.1f} ms\nrow")
             chart.figure.colorbar(drawn, ax=row, label="force in N", shrink=0.9)
     return chart.markdown
 
@@ -65,24 +57,21 @@ def draw_sequences(out: Path, results: Results, by: str) -> str:
     begin = max(0, int(np.argmax(contact)) - 50)
     begins = {"representative": _longest_contact(contact), "first contact": begin}
     caption = f"PSNR over time, {PAPER[scene].title} 64 x 64, preset paper"
-    with Chart(
-        out, f"psnr_by_{by.lower()}", caption, 2, 2, size_in=(9.0, 4.2)
-    ) as chart:
+    name = f"psnr_by_{by.lower()}"
+    with Chart(out, name, caption, 2, 2, size_in=(9.0, 4.2)) as chart:
         for axes, (title, begin) in zip(chart.panels, begins.items(), strict=True):
             part = slice(begin, min(begin + SHOWN_FRAMES, len(contact)))
-            times_ms = (
-                (np.arange(part.start, part.stop) + begin_of_scene)
-                * scene_of(scene).dt_ns
-                * 1e-6
-            )
+            frames = np.arange(part.start, part.stop) + begin_of_scene
+            times_ms = frames * scene_of(scene).dt_ns * 1e-6
             for k, (label, values) in enumerate(series.items()):
                 k = -1 if label == "noisy" else k
+                # Few marks, not at the same times: those of one line do not hide another's.
                 style: Style = {
                     "color": PALETTE[k],
                     "linestyle": LINES[k],
                     "marker": MARKERS[k],
+                    "markevery": (k * 5 % 30, max(1, len(times_ms) // 8)),
                 }
-                style["markevery"] = (k * 5 % 30, max(1, len(times_ms) // 8))
                 axes.plot(times_ms, values[part], label=label, markersize=4, **style)
             axes.set(title=title, xlabel="time in the scene in ms", ylabel="PSNR in dB")
     return chart.markdown

@@ -68,10 +68,10 @@ class FewLevelsHaarBasis(SeparableBasis):
     """
 
     def __init__(self, n_rows: int, n_cols: int) -> None:
+        # The lowest bit that is set in either: how often 2 divides both.
         sides = n_rows | n_cols
-        super().__init__(
-            n_rows, n_cols, level_matrix, (sides & -sides).bit_length() - 1
-        )
+        levels = (sides & -sides).bit_length() - 1
+        super().__init__(n_rows, n_cols, level_matrix, levels)
 
 
 def run(out: Path, quick: bool, seed: int, executor: str) -> list[str]:
@@ -99,13 +99,14 @@ def run(out: Path, quick: bool, seed: int, executor: str) -> list[str]:
     (maps_of_frames,) = compute(
         frame_maps, [{"frames": frames, "seed": seed}], out, executor, "maps"
     )
-    maps = {
-        title: (
+    maps = {}
+    for title, frame in frame_of_title.items():
+        k = frames.index(frame)
+        maps[title] = (
             frame,
-            *(maps_of_frames[key][frames.index(frame)] for key in ("maps", "psnr_db")),
+            maps_of_frames["maps"][k],
+            maps_of_frames["psnr_db"][k],
         )
-        for title, frame in frame_of_title.items()
-    }
     return write(out, results, lambdas, highest, maps)
 
 
@@ -124,11 +125,10 @@ def candidate(basis: str = "haar", **settings: Any) -> Candidate:
 def psnr(windows: Mapping[str, SceneFrames], seed: int) -> Iterator[Experiment]:
     """PSNR of each frame by M with 30 iterations, and at N/3 by iterations."""
     for side in LEVELS:
-        frames = [
-            window
-            for scene, window in windows.items()
-            if scene_of(scene).shape[0] == side
-        ]
+        frames = []
+        for scene, window in windows.items():
+            if scene_of(scene).shape[0] == side:
+                frames.append(window)
         # On sides of a power of two both bases are the same, and the project's own is quick.
         basis = FEW_LEVELS if side == 40 else "haar"
         by_m = {"30": candidate(), FITTED: candidate(basis, lambda_n=FITTED_LAMBDA_N)}
@@ -165,9 +165,8 @@ def untouched(
         experiment = Experiment(
             label, frames, measurements, by_lambda, ("highest_db",), (seed,)
         )
-        for ratio, of_ratio in unrefused(experiment.run(out, executor)).groupby(
-            "ratio", sort=False
-        ):
+        rows = unrefused(experiment.run(out, executor))
+        for ratio, of_ratio in rows.groupby("ratio", sort=False):
             highest[side, few, int(ratio)] = of_ratio["highest_db"].tolist()
     return lambdas, highest
 
@@ -208,9 +207,9 @@ def frame_maps(point: Row) -> Row:
     every = SceneFrames(MAPPED, None)
     contact, _ = next(SceneFrames(MAPPED, 0).windows(point["seed"]))
     begin = max(0, numbers[0] - BEFORE_MAPS)
-    take = SceneFrames(MAPPED, begin - contact, numbers[-1] + 1 - contact).open(
-        point["seed"]
-    )
+    # `SceneFrames` counts from the first contact, the numbers from the begin of the scene.
+    window = SceneFrames(MAPPED, begin - contact, numbers[-1] + 1 - contact)
+    take = window.open(point["seed"])
     method = candidate(iterations=20).make(Measurement(3), every.open(0), point["seed"])
     maps = []
     psnr = []
@@ -295,7 +294,8 @@ def table_2(results: Results) -> Iterator[Row]:
             counts = results.counts(scene, basis.lower())
             exact = results.counts(scene, f"{basis.lower()}_exact")
             yield {
-                **{"scenario": results.name(scene), "basis": basis},
+                "scenario": results.name(scene),
+                "basis": basis,
                 **compared("mean", theirs.mean, float(counts.mean())),
                 **compared("max", theirs.largest, int(counts.max())),
                 "mean in contact": f"{counts[results.contact(scene)].mean():.1f}",
@@ -325,7 +325,8 @@ def psnr_row(
     """PSNR of our frames from M = N / ratio beside the paper's; ratio 1: of the noisy signal."""
     values = results.ours(scene, ratio, method)
     return {
-        **{"scenario": results.name(scene), **named},
+        "scenario": results.name(scene),
+        **named,
         **compared("mean", paper.mean, float(values.mean())),
         **compared("min", paper.low, float(values.min())),
         **compared("max", paper.high, float(values.max())),
@@ -352,11 +353,9 @@ def table_4(results: Results) -> Iterator[Row]:
         for k in ITERATIONS:
             ours_ms = results.times_ms[scene, str(k)]
             times = {
-                **{
-                    "iterations": k,
-                    "time paper ms": paper.time_ms[k],
-                    "ours ms": f"{ours_ms:.2f}",
-                },
+                "iterations": k,
+                "time paper ms": paper.time_ms[k],
+                "ours ms": f"{ours_ms:.2f}",
                 "times faster": f"{paper.time_ms[k] / ours_ms:.0f}",
             }
             yield psnr_row(results, scene, paper.by_iterations[k], 3, str(k), **times)

@@ -12,9 +12,11 @@ from . import latency
 from .lean import run_lean
 from .stopwatch import PROCESSOR, WATCH
 
-RATES_HZ, QUICK_RATES_HZ = (1000, 300, 100), (1000, 100)
+RATES_HZ = (1000, 300, 100)
+QUICK_RATES_HZ = (1000, 100)
 QUICK_SIZE = "64 x 64"
-SECONDS, SLICES = 3.0, 3
+SECONDS = 3.0
+SLICES = 3
 """Length of a slice, and number of slices of each; their medians count. Chosen: what else runs on a
 host lasts for seconds, and so meets both kinds of nodes."""
 WARM_UP = 0.25
@@ -52,28 +54,30 @@ def measure(point: dict[str, Any]) -> dict[str, Any]:
     Raises StudyError if a node fails.
     """
     n_frames = round(point["seconds"] * point["rate_hz"])
+    graph = {**point, "n_frames": n_frames}
     slices = []
     for _ in range(point["slices"]):
-        ours = of_graph(latency.run_graph({**point, "n_frames": n_frames}), n_frames)
-        lean = of_lean(run_lean({**point, "n_frames": n_frames}))
-        slices.append(together(ours, lean))
-    return {
-        name: round(float(np.median([s[name] for s in slices])), 4)
-        for name in slices[0]
-    }
+        ours = of_graph(latency.run_graph(graph), n_frames)
+        slices.append(together(ours, of_lean(run_lean(graph))))
+    return medians(slices)
+
+
+def medians(slices: list[dict[str, float]]) -> dict[str, float]:
+    """Median of each figure over the slices."""
+    values = {name: [figures[name] for figures in slices] for name in slices[0]}
+    return {name: round(float(np.median(each)), 4) for name, each in values.items()}
 
 
 def together(ours: dict[str, float], lean: dict[str, float]) -> dict[str, float]:
     """Figures of a slice of both kinds, and their ratios."""
     figures = {f"ours {name}": value for name, value in ours.items()}
     figures |= {f"lean {name}": value for name, value in lean.items()}
-    of_nodes = [f"{node}_us" for node in NODES]
-    ours_us, lean_us = (sum(each[name] for name in of_nodes) for each in (ours, lean))
-    ratios = {
-        "cpu ratio": ours_us / lean_us,
-        "p50 ratio": ours["p50_ms"] / lean["p50_ms"],
-    }
-    return figures | ratios
+    # Without the monitor, for which there is no lean node.
+    ours_us = sum(ours[f"{node}_us"] for node in NODES)
+    lean_us = sum(lean[f"{node}_us"] for node in NODES)
+    figures["cpu ratio"] = ours_us / lean_us
+    figures["p50 ratio"] = ours["p50_ms"] / lean["p50_ms"]
+    return figures
 
 
 def of_graph(reports: dict[str, dict[str, Any]], n_frames: int) -> dict[str, float]:

@@ -73,8 +73,11 @@ def measure(point: dict[str, Any]) -> dict[str, Any]:
     of the frames around it; frames, skipped, lost, and others: cores that other work of the host
     used. Raises StudyError if the graph fails, or reconstructs too few frames.
     """
-    began_s, busy_s, own_s = time.monotonic(), host_busy_s(), _children_s()
+    began_s = time.monotonic()
+    busy_s = host_busy_s()
+    own_s = _children_s()
     nodes = run_graph(point)
+    # The nodes are children of this process: what they used is not other work.
     others_s = host_busy_s() - busy_s - (_children_s() - own_s)
     timed = (nodes[name][WATCH] for name in ("sensor", "compressor", "reconstructor"))
     sensor, edge, host = (np.array(times, dtype=np.int64) for times in timed)
@@ -86,11 +89,9 @@ def measure(point: dict[str, Any]) -> dict[str, Any]:
     skipped = sum(nodes["reconstructor"]["skipped"].values())
     return {
         **figures(stages / 1e6),
-        **{
-            "frames": len(stages),
-            "skipped": skipped,
-            "lost": len(sensor) - len(host) - skipped,
-        },
+        "frames": len(stages),
+        "skipped": skipped,
+        "lost": len(sensor) - len(host) - skipped,
         "others": round(others_s / (time.monotonic() - began_s), 2),
     }
 
@@ -102,13 +103,12 @@ def run_graph(point: dict[str, Any]) -> dict[str, dict[str, Any]]:
     and processes, the name of the process of each node that shares one. Raises StudyError if the
     graph fails.
     """
-    source = f"sparseskin.studies.looped:{point['scene']}"
     names: tuple[str, ...] = ("preset", "depth", "contacts", "iterations")
     solver = {name: point[name] for name in names if name in point}
     nodes: dict[str, dict[str, Any]] = {
         "sensor": {
             "type": f"{_NODES}Sensor",
-            "source": source,
+            "source": f"sparseskin.studies.looped:{point['scene']}",
             "rate_hz": point["rate_hz"],
         },
         "compressor": {"type": f"{_NODES}Compressor", "rows": FIXED},
@@ -118,13 +118,13 @@ def run_graph(point: dict[str, Any]) -> dict[str, dict[str, Any]]:
         nodes["monitor"] = {"type": f"{_NODES}Monitor", "page": False}
     for name, process in point.get("processes", {}).items():
         nodes[name]["process"] = process
-    text = f"[graph]\npriority = {point.get('priority', 0)}\n" + "".join(
-        f"[nodes.{name}]\n"
-        + "".join(f"{k} = {json.dumps(v)}\n" for k, v in settings.items())
-        for name, settings in nodes.items()
-    )
+    lines = ["[graph]", f"priority = {point.get('priority', 0)}"]
+    for name, settings in nodes.items():
+        lines.append(f"[nodes.{name}]")
+        # These values are written in JSON as in TOML.
+        lines += [f"{key} = {json.dumps(value)}" for key, value in settings.items()]
     with tempfile.TemporaryDirectory(prefix="sparseskin-speed-") as folder:
-        Path(folder, "graph.toml").write_text(text)
+        Path(folder, "graph.toml").write_text("\n".join(lines))
         command = [sys.executable, "-m", "sparseskin", "launch", "graph.toml"]
         command += ["--frames", str(point["n_frames"]), "--summary", "summary.json"]
         done = subprocess.run(
@@ -156,30 +156,37 @@ def stages_ns(sensor: Times, edge: Times, host: Times) -> Times:
     (edge) the message came, the measurements were sent; (host) the message came, the solver was
     called, was done, the result was sent. Returns rows of the frames that were reconstructed.
     """
-    common = np.intersect1d(np.intersect1d(sensor[:, 0], edge[:, 0]), host[:, 0])
-    s, e, h = (
-        times[np.searchsorted(times[:, 0], common)] for times in (sensor, edge, host)
-    )
-    edge_queue = _waited(e, sent=s[:, 1], came=e[:, 1], free=e[:, 2])
-    host_queue = _waited(h, sent=e[:, 2], came=h[:, 1], free=h[:, 4])
+    # A stamp identifies a frame; one that was skipped or lost on the way has no age.
+    stamps = np.intersect1d(np.intersect1d(sensor[:, 0], edge[:, 0]), host[:, 0])
+    _, sensor_sent = _of_frames(sensor, stamps)
+    _, edge_came, edge_sent = _of_frames(edge, stamps)
+    _, host_came, called, solved, host_sent = _of_frames(host, stamps)
+    edge_queue = _waited(stamps, sent=sensor_sent, came=edge_came, free=edge_sent)
+    host_queue = _waited(stamps, sent=edge_sent, came=host_came, free=host_sent)
     columns = [
-        *(s[:, 1], e[:, 1] - s[:, 1] - edge_queue, edge_queue, e[:, 2] - e[:, 1]),
-        *(
-            h[:, 1] - e[:, 2] - host_queue,
-            host_queue,
-            h[:, 2] - h[:, 1],
-            h[:, 3] - h[:, 2],
-        ),
+        sensor_sent,
+        edge_came - sensor_sent - edge_queue,
+        edge_queue,
+        edge_sent - edge_came,
+        host_came - edge_sent - host_queue,
+        host_queue,
+        called - host_came,
+        solved - called,
     ]
     return np.stack(columns, axis=1)
 
 
-def _waited(reader: Times, sent: Times, came: Times, free: Times) -> Times:
+def _of_frames(times: Times, stamps: Times) -> Times:
+    """Columns of the rows with some stamps, which ascend."""
+    return times[np.searchsorted(times[:, 0], stamps)].T
+
+
+def _waited(stamps: Times, sent: Times, came: Times, free: Times) -> Times:
     """Time from sending each message until its reader was done with the one before, ns."""
-    gap = np.diff(reader[:, 0], prepend=reader[0, 0])
-    # From this frame's stamp on.
+    gap = np.diff(stamps, prepend=stamps[:1])
+    # Times are from each frame's stamp on: those of the one before are moved to this stamp.
     free_before = np.concatenate([[0], free[:-1]]) - gap
-    free_before[0] = sent[0]
+    free_before[:1] = sent[:1]
     waited: Times = np.clip(np.minimum(free_before, came) - sent, 0, None)
     return waited
 
@@ -189,14 +196,14 @@ def figures(stages_ms: npt.NDArray[np.float64]) -> dict[str, float]:
     total = stages_ms.sum(axis=1)
     order = np.argsort(total)
     n = len(order)
-    found: dict[str, float] = {}
+    times_ms: dict[str, float] = {}
     for name, quantile in QUANTILES.items():
-        centre, half = (
-            round(quantile * (n - 1)),
-            max(1, round(min(0.05, 1 - quantile) / 2 * n)),
-        )
+        # Stages of one frame are noise: a 20th of the frames are averaged, fewer near the end.
+        centre = round(quantile * (n - 1))
+        half = max(1, round(min(0.05, 1 - quantile) / 2 * n))
         around = order[max(0, centre - half) : centre + half + 1]
-        found[f"{name}_ms"] = round(float(np.quantile(total, quantile)), 4)
-        means = zip(STAGES, stages_ms[around].mean(axis=0), strict=True)
-        found |= {f"{name} {stage}": round(float(ms), 4) for stage, ms in means}
-    return found
+        times_ms[f"{name}_ms"] = round(float(np.quantile(total, quantile)), 4)
+        means_ms = stages_ms[around].mean(axis=0)
+        for stage, mean_ms in zip(STAGES, means_ms, strict=True):
+            times_ms[f"{name} {stage}"] = round(float(mean_ms), 4)
+    return times_ms

@@ -58,12 +58,8 @@ def run_lean(point: dict[str, Any]) -> dict[str, Any]:
     `point`: scene, rate_hz, n_frames, iterations. Raises StudyError if a node fails.
     """
     with tempfile.TemporaryDirectory(prefix="sparseskin-lean-") as folder:
-        command = [
-            sys.executable,
-            "-m",
-            __name__,
-            json.dumps({**point, "folder": folder}),
-        ]
+        text = json.dumps({**point, "folder": folder})
+        command = [sys.executable, "-m", __name__, text]
         started = {
             node: subprocess.Popen([*command, node], stdout=subprocess.PIPE, text=True)
             for node in NODES
@@ -84,7 +80,8 @@ def run_lean(point: dict[str, Any]) -> dict[str, Any]:
 
 def main() -> None:
     """Run one node: a point with the folder of its sockets, as JSON, and the name of the node."""
-    point, node = json.loads(sys.argv[1]), sys.argv[2]
+    _, text, node = sys.argv
+    point = json.loads(text)
     notes: Notes = []
     with zmq.Context() as context:
         links = _links(context, point["folder"], node)
@@ -167,9 +164,11 @@ def _host(
     notes: Notes,
 ) -> None:
     source = _source(point)
-    phi, skin = _phi(source), source.skin
+    phi = _phi(source)
+    skin = source.skin
     basis = make_basis("haar", skin.n_rows, skin.n_cols)
     solver = make_solver("skin", phi, basis, iterations=point["iterations"])
+    # Loops are compiled, and memory is taken, before the first frame.
     solver.solve(np.zeros(phi.m, dtype=np.float32))
     solver.reset()
     begin.send(reader.recv())

@@ -10,7 +10,7 @@ from sparseskin.nodes.errors import SettingsError
 from sparseskin.nodes.process.scheduling import Scheduling
 
 from . import latency
-from .beside import WARM_UP, ages_ms
+from .beside import WARM_UP, ages_ms, medians
 from .stopwatch import PROCESSOR, WATCH
 
 EDGE = "edge"
@@ -65,10 +65,9 @@ def measure(point: dict[str, Any]) -> dict[str, Any]:
     """Run the graph of a point with its nodes in each of `PROCESSES`, in turn.
 
     `point`: scene, rate_hz, priority, preset, depth, iterations, monitor, slices, seconds of each.
-    Returns
-    medians over the slices, by the kind of graph: "KIND cpu_us", processor time of all nodes for a
-    frame of the sensor; "KIND p50_ms" and "KIND p99_ms" of the age of a frame when it is
-    reconstructed; "KIND hz", the rate that the sensor reached; "KIND skipped", the part of its
+    Returns medians over the slices, by the kind of graph: "KIND cpu_us", processor time of all
+    nodes for a frame of the sensor; "KIND p50_ms" and "KIND p99_ms" of the age of a frame when it
+    is reconstructed; "KIND hz", the rate that the sensor reached; "KIND skipped", the part of its
     frames that was not reconstructed; and "KIND NAME ratio" of `RATIOS`, to four processes in the
     same slice. Raises StudyError if a node fails.
     """
@@ -80,10 +79,7 @@ def measure(point: dict[str, Any]) -> dict[str, Any]:
             graph = {**point, "n_frames": n_frames, "processes": of_nodes}
             figures[kind] = _figures(latency.run_graph(graph), of_nodes)
         slices.append(with_ratios(figures))
-    names = slices[0]
-    return {
-        name: round(float(np.median([s[name] for s in slices])), 4) for name in names
-    }
+    return medians(slices)
 
 
 def with_ratios(figures: dict[str, dict[str, float]]) -> dict[str, float]:
@@ -100,9 +96,9 @@ def _figures(
     reports: dict[str, dict[str, Any]], processes: dict[str, str]
 ) -> dict[str, float]:
     """Figures of one run by its reports; each process is counted once, by its last node."""
-    last = {processes.get(node, node): node for node in reports}
+    node_of = {processes.get(node, node): node for node in reports}
     used_ns = 0
-    for node in last.values():
+    for node in node_of.values():
         notes = reports[node][PROCESSOR]
         used_ns += notes[-1] - notes[round(WARM_UP * len(notes))]
     sensor = np.array(reports["sensor"][WATCH], dtype=np.int64)

@@ -39,14 +39,11 @@ class _Timed(Node[Any]):
             # It has been sent when the runner asks for the next one.
             yield message
             if isinstance(message, timed):
-                times_ns = (
-                    *self._inside(message, came_ns),
-                    self.context.clock.now_ns(),
-                )
+                inside_ns = self._inside(message, came_ns)
+                times_ns = [*inside_ns, self.context.clock.now_ns()]
                 stamp_ns = message.stamp_ns
-                self._notes.append(
-                    [stamp_ns, *(time_ns - stamp_ns for time_ns in times_ns)]
-                )
+                since_ns = [time_ns - stamp_ns for time_ns in times_ns]
+                self._notes.append([stamp_ns, *since_ns])
                 self._processor_ns.append(time.process_time_ns())
 
     def _inside(self, message: Any, came_ns: int) -> tuple[int, ...]:

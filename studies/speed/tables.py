@@ -8,6 +8,7 @@ import os
 from importlib.util import find_spec
 from itertools import product
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -23,21 +24,24 @@ from sparseskin.studies.harness import (
     Measurement,
     unrefused,
 )
-from sparseskin.studies.points import compute_rows
+from sparseskin.studies.points import Function, compute_rows
 from sparseskin.studies.report import Page, cells, markdown
 
 from . import beside, latency, processes
 from .bodies import time_body
 from .quiet import QUIET_S, WAYS, time_quiet
 
-SIDES, QUICK_SIDES = (20, 40, 64, 128), (20, 40)
+SIDES = (20, 40, 64, 128)
+QUICK_SIDES = (20, 40)
+SIZES = {scene: size for size, scene in latency.SCENES.items()}
 PATCH_SIDE = 64
 PATCHES = (1, 4, 16, 64, 244)
 QUICK_PATCHES = (1, 4)
 LOADS = {0.0: "all pressed", 0.75: "a quarter pressed", 1.0: "at rest"}
 """Part of the patches that nothing presses, and what a body is then."""
-GOAL, GOAL_HZ = 244, 1000
-"""Patches of a million taxels, and frames a second."""
+GOAL = 244
+"""Patches of a million taxels."""
+GOAL_HZ = 1000
 LINK_BYTES_HZ = 1e9 / 8
 """Bytes a second of a gigabit link."""
 QUIET = 0.1
@@ -66,7 +70,9 @@ def solvers(page: Page, quick: bool, seed: int) -> list[str]:
     frames = [
         PressFrames("plate", (side, side), n_frames, speed=0.02) for side in sides
     ]
-    forms = {"numpy": "off"} | ({"compiled": "on"} if find_spec("numba") else {})
+    forms = {"numpy": "off"}
+    if find_spec("numba"):
+        forms["compiled"] = "on"
     candidates = {
         f"{preset}, {form}": Candidate(
             {**PRESETS[preset], "fast": fast}, changes={"rows": rows}
@@ -81,21 +87,22 @@ def solvers(page: Page, quick: bool, seed: int) -> list[str]:
     rows = unrefused(timed.run(page.out, TIMED_ON))
     rows.insert(0, "n", [side * side for side, _ in rows["shape"]])
     page.csv("solvers", rows)
-    shown = rows[["n", "method", *scores]].assign(hz=1000 / rows["median_ms"])
-    names = {
+    table = rows[["n", "method", *scores]].assign(hz=1000 / rows["median_ms"])
+    headings = {
         "n": "N",
         "median_ms": "median ms",
         "p99_ms": "p99 ms",
         "hz": "frames a second",
+        "mean_db": "mean dB",
     }
     formats = {
         "median ms": ".3f",
         "p99 ms": ".3f",
         "iterations": ".1f",
         "mean dB": ".1f",
+        "frames a second": ".0f",
     }
-    shown = shown.rename(columns=names | {"mean_db": "mean dB"})
-    page.section("Solvers", markdown(shown, formats | {"frames a second": ".0f"}))
+    page.section("Solvers", markdown(table.rename(columns=headings), formats))
     last = rows[(rows["n"] == rows["n"].max()) & rows["method"].str.startswith("skin")]
     return cells(last, "Solver {method}, N = {n}: {median_ms:.2f} ms a frame.")
 
@@ -177,25 +184,14 @@ def quiet_body(page: Page, quick: bool, seed: int) -> str:
 def stages(page: Page, quick: bool, seed: int) -> list[str]:
     """Age of a frame when it is reconstructed, by stage, in real graphs."""
     points = latency.points(quick, seed)
-    rows = pd.DataFrame(
-        compute_rows(latency.measure, points, page.out, "serial", "latency")
-    )
-    sizes = {scene: size for size, scene in latency.SCENES.items()}
-    rows["skin"] = rows["scene"].map(sizes)
+    rows = _measured(latency.measure, points, page.out, "latency")
+    rows["skin"] = rows["scene"].map(SIZES)
     rows["reconstructed"] = np.where(rows["depth"] > 0, "newest", "all")
     for name in ("monitor", "contacts"):
         rows[name] = np.where(rows[name], "yes", "no")
     page.csv("latency", rows)
-    names = [
-        "skin",
-        "preset",
-        "reconstructed",
-        "contacts",
-        "monitor",
-        "frames",
-        "skipped",
-        "lost",
-    ]
+    names = ["skin", "preset", "reconstructed", "contacts", "monitor"]
+    names += ["frames", "skipped", "lost"]
     headings = {f"{name}_ms": f"{name} ms" for name in latency.QUANTILES}
     headings |= {f"p50 {stage}": stage for stage in latency.STAGES}
     formats = {f"{name} ms": ".2f" for name in latency.QUANTILES}
@@ -211,42 +207,38 @@ def stages(page: Page, quick: bool, seed: int) -> list[str]:
         markdown(rows[[*names, *headings]].rename(columns=headings), formats),
         warm_up=latency.WARM_UP,
     )
-    alone = rows[
-        (rows["preset"] == "skin") & (rows["depth"] == 0) & (rows["monitor"] == "no")
-    ]
-    alone = alone.assign(
-        with_=np.where(alone["contacts"] == "yes", ", with contacts", "")
-    )
-    text = (
-        "All frames of {skin} taxels at 1 kHz{with_}: half of them are reconstructed "
-    )
+    is_default = (rows["preset"] == "skin") & (rows["depth"] == 0)
+    alone = rows[is_default & (rows["monitor"] == "no")]
+    with_contacts = np.where(alone["contacts"] == "yes", ", with contacts", "")
     return cells(
-        alone, text + "{p50_ms:.2f} ms after acquisition, 99 % within {p99_ms:.2f} ms."
+        alone.assign(with_=with_contacts),
+        "All frames of {skin} taxels at 1 kHz{with_}: half of them are reconstructed "
+        "{p50_ms:.2f} ms after acquisition, 99 % within {p99_ms:.2f} ms.",
     )
+
+
+def _measured(
+    function: Function, points: list[dict[str, Any]], out: Path, label: str
+) -> pd.DataFrame:
+    """Points with the figures of their graphs, which run one at a time."""
+    return pd.DataFrame(compute_rows(function, points, out, "serial", label))
 
 
 def beside_lean(page: Page, quick: bool, seed: int) -> list[str]:
     """Processor time and age of a frame in the shipped nodes and in lean ones, in turn."""
     points = beside.points(quick, seed)
-    rows = pd.DataFrame(
-        compute_rows(beside.measure, points, page.out, "serial", "beside")
-    )
-    sizes = {scene: size for size, scene in latency.SCENES.items()}
-    rows["skin"] = rows["scene"].map(sizes)
+    rows = _measured(beside.measure, points, page.out, "beside")
+    rows["skin"] = rows["scene"].map(SIZES)
     rows["monitor"] = np.where(rows["monitor"], "yes", "no")
     page.csv("beside", rows)
 
-    nodes = ["sensor", "compressor", "reconstructor"]
-    if "ours monitor_us" in rows:
-        nodes.append("monitor")
+    nodes = [*beside.NODES, "monitor"]
     table = rows[["skin", "rate_hz", "monitor"]].rename(columns={"rate_hz": "Hz"})
     for kind in ("ours", "lean"):
         for node in nodes:
             if f"{kind} {node}_us" in rows:
                 table[f"{kind}: {node}, us"] = rows[f"{kind} {node}_us"]
-        table[f"{kind}: p50, p99, ms"] = cells(
-            rows, f"{{{kind} p50_ms:.2f}}, {{{kind} p99_ms:.2f}}"
-        )
+        table[f"{kind}: p50, p99, ms"] = _quantiles(rows, kind)
         table[f"{kind}: lost"] = rows[f"{kind} lost"]
     table["processor time, ours / lean"] = rows["cpu ratio"]
     table["p50, ours / lean"] = rows["p50 ratio"]
@@ -261,36 +253,19 @@ def beside_lean(page: Page, quick: bool, seed: int) -> list[str]:
         warm_up=f"{beside.WARM_UP:.0%}",
     )
     alone = rows[rows["monitor"] == "no"]
-    text = "{skin} taxels at {rate_hz} Hz: {cpu ratio:.2f} times the processor time of lean nodes, "
-    return cells(alone, text + "{p50 ratio:.2f} times their median age.")
+    return cells(
+        alone,
+        "{skin} taxels at {rate_hz} Hz: {cpu ratio:.2f} times the processor time of lean nodes, "
+        "{p50 ratio:.2f} times their median age.",
+    )
 
 
 def shared_processes(page: Page, quick: bool, seed: int) -> list[str]:
     """Processor time and age of a frame with the nodes in four processes, and in fewer, in turn."""
     points = processes.points(quick, seed)
-    rows = pd.DataFrame(
-        compute_rows(processes.measure, points, page.out, "serial", "processes")
-    )
+    rows = _measured(processes.measure, points, page.out, "processes")
     page.csv("processes", rows)
-    tables = [
-        pd.DataFrame(
-            {
-                "Hz": rows["rate_hz"],
-                "processes": kind,
-                "reached, Hz": rows[f"{kind} hz"],
-                "skipped": rows[f"{kind} skipped"],
-                "processor time, us": rows[f"{kind} cpu_us"],
-                "p50, p99, ms": cells(
-                    rows, f"{{{kind} p50_ms:.2f}}, {{{kind} p99_ms:.2f}}"
-                ),
-                **{
-                    f"{name} / four": rows[f"{kind} {name} ratio"]
-                    for name in processes.RATIOS
-                },
-            }
-        )
-        for kind in processes.PROCESSES
-    ]
+    tables = [_processes_table(rows, kind) for kind in processes.PROCESSES]
     formats = {"reached, Hz": ".0f", "skipped": ".0%", "processor time, us": ".0f"}
     formats |= {f"{name} / four": ".2f" for name in processes.RATIOS}
     page.section(
@@ -302,9 +277,27 @@ def shared_processes(page: Page, quick: bool, seed: int) -> list[str]:
         steps=processes.STEPS,
         warm_up=f"{beside.WARM_UP:.0%}",
     )
-    text = "Edge and host in a process each at {rate_hz} Hz: "
-    text += "{two cpu ratio:.2f} times the processor "
     return cells(
         rows,
-        text + "time of four processes, {two p50 ratio:.2f} times their median age.",
+        "Edge and host in a process each at {rate_hz} Hz: {two cpu ratio:.2f} times the processor "
+        "time of four processes, {two p50 ratio:.2f} times their median age.",
     )
+
+
+def _processes_table(rows: pd.DataFrame, kind: str) -> pd.DataFrame:
+    """Figures of one kind of graph, a row a rate."""
+    columns = {
+        "Hz": rows["rate_hz"],
+        "processes": kind,
+        "reached, Hz": rows[f"{kind} hz"],
+        "skipped": rows[f"{kind} skipped"],
+        "processor time, us": rows[f"{kind} cpu_us"],
+        "p50, p99, ms": _quantiles(rows, kind),
+    }
+    for name in processes.RATIOS:
+        columns[f"{name} / four"] = rows[f"{kind} {name} ratio"]
+    return pd.DataFrame(columns)
+
+
+def _quantiles(rows: pd.DataFrame, kind: str) -> list[str]:
+    return cells(rows, f"{{{kind} p50_ms:.2f}}, {{{kind} p99_ms:.2f}}")

@@ -56,19 +56,17 @@ CAPTION = (
 _BLACK = PALETTE[-1]
 #: Column, heading and format of the tables of rows.
 _SHOWN = (
-    *(
-        ("panel", "scenes", ""),
-        ("label", "solver", ""),
-        ("phi", "Phi", ""),
-        ("ratio", "N/M", "g"),
-    ),
-    *(("iterations", "iterations", ".3g"), ("mean_db", "mean dB", ".1f")),
-    *(("min_db", "worst dB", ".1f"), ("touched_mn", "touched mN", ".1f")),
-    *(
-        ("median_ms", "median ms", ".3f"),
-        ("p99_ms", "p99 ms", ".3f"),
-        ("n_bytes", "bytes", ""),
-    ),
+    ("panel", "scenes", ""),
+    ("label", "solver", ""),
+    ("phi", "Phi", ""),
+    ("ratio", "N/M", "g"),
+    ("iterations", "iterations", ".3g"),
+    ("mean_db", "mean dB", ".1f"),
+    ("min_db", "worst dB", ".1f"),
+    ("touched_mn", "touched mN", ".1f"),
+    ("median_ms", "median ms", ".3f"),
+    ("p99_ms", "p99 ms", ".3f"),
+    ("n_bytes", "bytes", ""),
 )
 
 
@@ -154,15 +152,11 @@ def write(
     all_rows = pd.concat([timed, every, of_parts])
     refused = cells(all_rows[all_rows["refused"] != ""], "- {method}, {phi}: {refused}")
     if refused:
-        pages.section(
-            "Combinations that are refused", "\n".join(dict.fromkeys(refused))
-        )
-    for name, frame in (
-        ("times", timed),
-        ("solvers", every),
-        ("bases_and_phis", of_parts),
-    ):
-        pages.csv(name, frame)
+        text = "\n".join(dict.fromkeys(refused))
+        pages.section("Combinations that are refused", text)
+    pages.csv("times", timed)
+    pages.csv("solvers", every)
+    pages.csv("bases_and_phis", of_parts)
     lines = conclusion(by_panel, read)
     pages.write(lines)
     return lines
@@ -201,8 +195,10 @@ def _times(rows: pd.DataFrame) -> str:
         "panel": "scenes",
         "label": "solver or library",
         "iterations": "iterations",
+        "mean_db": "mean dB",
+        "min_db": "worst dB",
+        "median_ms": "median ms",
     }
-    names |= {"mean_db": "mean dB", "min_db": "worst dB", "median_ms": "median ms"}
     ordered = rows.sort_values(["panel", "median_ms"], kind="stable")
     formats = {
         "iterations": ".3g",
@@ -251,11 +247,11 @@ def _draw_panel(axes: Axes, rows: pd.DataFrame, reading: Any, y: str) -> None:
     for label in sorted(rows["label"].unique(), key=lambda label: label in FOCUS):
         along = lines[lines["label"] == label]
         axes.plot(along["n_bytes"], along[y], **_focused(label))
-    for sent, text, line in zip(
-        reading, ("noisy", "best dead zone"), ("--", ":"), strict=True
-    ):
+    styles = {"noisy": "--", "best dead zone": ":"}
+    for sent, (text, style) in zip(reading, styles.items(), strict=True):
+        line: dict[str, Any] = {"linestyle": style, "linewidth": 1.2}
         label = f"all taxels sent, {text}"
-        axes.axhline(sent[y], color=_BLACK, linestyle=line, linewidth=1.2, label=label)
+        axes.axhline(sent[y], color=_BLACK, label=label, **line)
         axes.plot(sent["n_bytes"], sent[y], color=_BLACK, marker=MARKERS[-1])
     axes.set_xscale("log")
     # 1, 2, 5 and their tenfolds in plain numbers: half a decade has to show two.

@@ -10,8 +10,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from functools import cache, partial
+from collections.abc import Iterable, Iterator, Sequence
+from functools import cache
 from importlib.util import find_spec
 from itertools import zip_longest
 from pathlib import Path
@@ -62,10 +62,14 @@ DEAD_ZONES_N = (0.0, 0.01, 0.02, 0.03, 0.04, 0.05, 0.07, 0.1)
 PERIOD_S = 1e-3
 #: Figures of a row, and how they are pooled over scenes.
 FIGURES = {
-    **{"iterations": "mean", "mean_db": "mean", "min_db": "min", "touched_mn": "mean"},
-    **{"median_ms": "mean", "p99_ms": "mean", "cpu_share": "min"},
+    "iterations": "mean",
+    "mean_db": "mean",
+    "min_db": "min",
+    "touched_mn": "mean",
+    "median_ms": "mean",
+    "p99_ms": "mean",
+    "cpu_share": "min",
 }
-_timed: Callable[..., Experiment] = partial(Experiment, timed=True)
 
 
 def raced() -> dict[str, Candidate]:
@@ -75,31 +79,27 @@ def raced() -> dict[str, Candidate]:
     and then the default in numpy, too. Every library of `PEERS` that is installed, on the problem
     of preset paper and with as many iterations per frame.
     """
+    skin = PRESETS["skin"]
     paper = {"rows": PAPER_ROWS}
     rotating = {"rows": ROTATING}
     paces = {
-        f"{ROTATED}: {pace}": Candidate(
-            {**PRESETS["skin"], "iterations": pace}, changes=rotating
-        )
+        f"{ROTATED}: {pace}": Candidate({**skin, "iterations": pace}, changes=rotating)
         for pace in SkinSolver.paces
     }
-    methods = {"skin, fixed rows": Candidate(PRESETS["skin"])}
+    methods = {"skin, fixed rows": Candidate(skin)}
     if find_spec("numba"):
-        methods["skin, numpy"] = Candidate(
-            {**PRESETS["skin"], "fast": "off"}, changes=rotating
-        )
+        methods["skin, numpy"] = Candidate({**skin, "fast": "off"}, changes=rotating)
     methods[PAPER_LABEL] = Candidate(PRESETS["paper"], changes=paper)
     methods["tv"] = Candidate({"solver": VARIATION, "basis": "haar"})
-    methods[INTERPOLATED] = Candidate(
-        {"solver": "interpolation"}, changes={"phi": "subsample"}
-    )
+    subsample = {"phi": "subsample"}
+    methods[INTERPOLATED] = Candidate({"solver": "interpolation"}, changes=subsample)
     methods |= LARGER
-    settings = {key: PRESETS["paper"][key] for key in ("iterations", "lambda_n")}
     for name, peer in PEERS.items():
-        if find_spec(peer.module):
-            methods[name] = Candidate(
-                {**settings, "name": name}, of="library", changes=paper
-            )
+        if not find_spec(peer.module):
+            continue
+        settings = {key: PRESETS["paper"][key] for key in ("iterations", "lambda_n")}
+        settings["name"] = name
+        methods[name] = Candidate(settings, of="library", changes=paper)
 
     # A pace follows another method, not a pace that has left its memory in the caches.
     turns = zip_longest(paces.items(), methods.items())
@@ -130,23 +130,22 @@ def variants() -> dict[str, Candidate]:
     return solvers_by_label
 
 
-def frames_of(scenes: Sequence[str], short: bool) -> list[SceneFrames]:
+def frames_of(quick: bool, short: bool) -> list[SceneFrames]:
     """Two parts of each scene: from 20 frames before its first contact, and half way on."""
-    scene_frames = []
+    scenes = QUICK_SCENES if quick else tuple(SCENES)
+    n_after, later = (40, 40) if short else (180, 200)
+    frames = []
     for scene in scenes:
         every = max(1, round(PERIOD_S / (scene_of(scene).dt_ns * 1e-9)))
-        n_after, later = (40, 40) if short else (180, 200)
-        scene_frames.append(
-            SceneFrames(scene, -20 * every, n_after * every, every, later)
-        )
-    return scene_frames
+        frames.append(SceneFrames(scene, -20 * every, n_after * every, every, later))
+    return frames
 
 
 def times(quick: bool, seed: int) -> Experiment:
     """Time of a frame: all of `raced` in turn on each frame, so that other work on the host slows
     all of them alike.
     """
-    frames = frames_of(QUICK_SCENES if quick else tuple(SCENES), quick)
+    frames = frames_of(quick, short=quick)
     measurements = [Measurement(CENTRE_RATIO)]
     return Experiment(
         "time of a frame", frames, measurements, raced(), tuple(FIGURES), (seed,)
@@ -156,25 +155,40 @@ def times(quick: bool, seed: int) -> Experiment:
 def solvers(quick: bool, seed: int) -> Iterator[Experiment]:
     """Every solver by M, and on all taxels."""
     by_label = variants()
+    # Where all taxels are sent, neither rows rotate nor are there larger taxels.
     fixed = {
-        label: of
-        for label, of in by_label.items()
-        if of.changes.get("rows") != ROTATING and label not in LARGER
+        label: candidate
+        for label, candidate in by_label.items()
+        if candidate.changes.get("rows") != ROTATING and label not in LARGER
     }
-    frames = frames_of(QUICK_SCENES if quick else tuple(SCENES), quick)
+    frames = frames_of(quick, short=quick)
     swept = [*map(Measurement, QUICK_RATIOS if quick else RATIOS)]
-    for candidates, measurements in (
-        (by_label, swept),
-        (fixed, [Measurement(1, phi="full")]),
-    ):
-        yield _timed(
-            "solvers", frames, measurements, candidates, tuple(FIGURES), (seed,)
-        )
+    yield _timed("solvers", frames, swept, by_label, seed)
+    yield _timed("solvers", frames, [Measurement(1, phi="full")], fixed, seed)
+
+
+def _timed(
+    label: str,
+    frames: Sequence[SceneFrames],
+    measurements: Sequence[Measurement],
+    candidates: dict[str, Candidate],
+    seed: int,
+) -> Experiment:
+    return Experiment(
+        label,
+        frames,
+        measurements,
+        candidates,
+        tuple(FIGURES),
+        (seed,),
+        timed=True,
+    )
 
 
 def parts(quick: bool, seed: int) -> Iterator[Experiment]:
     """Every basis, and every Phi, with the paper's solver; the candidate is named by the basis."""
-    frames = frames_of(QUICK_SCENES if quick else tuple(SCENES), True)
+    # A dense Phi is slow.
+    frames = frames_of(quick, short=True)
     ratios = QUICK_RATIOS if quick else PARTS_RATIOS
     changes = {"rows": PAPER_ROWS}
     bases = {
@@ -184,18 +198,14 @@ def parts(quick: bool, seed: int) -> Iterator[Experiment]:
     other_kinds = [kind for kind in SUM_KINDS if kind not in ("sbhe", "full")]
     kinds = [Measurement(ratio, phi=kind) for kind in other_kinds for ratio in ratios]
     haar = {"haar": bases["haar"]}
-    for candidates, measurements in (
-        (bases, [*map(Measurement, ratios)]),
-        (haar, [*kinds, Measurement(1, phi="full")]),
-    ):
-        yield _timed(
-            "bases and Phi", frames, measurements, candidates, tuple(FIGURES), (seed,)
-        )
+    yield _timed("bases and Phi", frames, [*map(Measurement, ratios)], bases, seed)
+    measurements = [*kinds, Measurement(1, phi="full")]
+    yield _timed("bases and Phi", frames, measurements, haar, seed)
 
 
 def readings(quick: bool, seed: int) -> Experiment:
     """The noisy taxels themselves, with dead zones of several widths, which name the candidates."""
-    frames = frames_of(QUICK_SCENES if quick else tuple(SCENES), quick)
+    frames = frames_of(quick, short=quick)
     zones = {
         f"{width:g}": Candidate({"dead_zone_n": width}, of="reading")
         for width in DEAD_ZONES_N
@@ -233,9 +243,8 @@ def gathered(
     experiments: Iterable[Experiment], out: Path, executor: str
 ) -> pd.DataFrame:
     """Rows of some experiments, with n_bytes, label, and pace: stated iterations, NaN if none."""
-    rows = pd.concat(
-        experiment.run(out, executor) for experiment in experiments
-    ).reset_index(drop=True)
+    parts = [experiment.run(out, executor) for experiment in experiments]
+    rows = pd.concat(parts, ignore_index=True)
     split = rows["method"].str.split(": ", expand=True).reindex(columns=[0, 1])
     shapes = [math.prod(scene_of(scene).shape) for scene in rows["scene"]]
     rotates = [ROTATING if label == ROTATED else "" for label in split[0]]

@@ -108,42 +108,24 @@ def _show_error(axes: Axes) -> None:
 def _draw_points(axes: Axes, points: pd.DataFrame, noisy_db: float) -> None:
     """The default as a line of its paces, all others as points, and a label for each."""
     axes.axhline(noisy_db, color=BLACK, linestyle="--", linewidth=1.0, zorder=1)
-    place: dict[str, Any] = {
-        "transform": axes.get_yaxis_transform(),
-        "ha": "left",
-        "va": "top",
-    }
-    axes.text(0.01, noisy_db, "all taxels read, no solver", fontsize=8, **place)
+    across = axes.get_yaxis_transform()
+    text = "all taxels read, no solver"
+    axes.text(0.01, noisy_db, text, fontsize=8, va="top", transform=across)
 
     paces = points[points["label"] == ROTATED].sort_values("pace")
     default = paces.iloc[-1]
-    line: dict[str, Any] = {"color": ORANGE, "marker": "o", "markersize": 4}
-    axes.plot(paces["median_ms"], paces["mean_db"], **line)
-    axes.plot(
-        default["median_ms"],
-        default["mean_db"],
-        color=ORANGE,
-        marker="*",
-        markersize=_STAR_POINTS,
-    )
+    axes.plot(paces["median_ms"], paces["mean_db"], "o-", color=ORANGE, markersize=4)
+    star = (default["median_ms"], default["mean_db"])
+    axes.plot(*star, "*", color=ORANGE, markersize=_STAR_POINTS)
     peers = points[points["label"].isin(list(PEERS))]
     solvers = points[~points["label"].isin([ROTATED, *PEERS])]
     for methods, color, marker in ((solvers, BLUE, "s"), (peers, GREEN, "D")):
-        style: dict[str, Any] = {
-            "color": color,
-            "marker": marker,
-            "markersize": 5,
-            "linestyle": "",
-        }
-        axes.plot(methods["median_ms"], methods["mean_db"], **style)
+        places = (methods["median_ms"], methods["mean_db"])
+        axes.plot(*places, marker, color=color, markersize=5)
 
     label = _Labels(axes, points, default)
-    label.add(
-        default,
-        f"default: skin, {default['pace']:.0f} iterations",
-        ORANGE,
-        weight="bold",
-    )
+    text = f"default: skin, {default['pace']:.0f} iterations"
+    label.add(default, text, ORANGE, weight="bold")
     for _, point in paces.iloc[:-1].iterrows():
         label.add_below(point, f"{point['pace']:.0f}", ORANGE)
     for methods, color in ((solvers, BLUE), (peers, GREEN)):
@@ -157,7 +139,7 @@ class _Labels:
 
     def __init__(self, axes: Axes, points: pd.DataFrame, default: pd.Series) -> None:
         self._axes = axes
-        # As of `Chart`.
+        # Extents of texts are those of the renderer that `Chart` draws with.
         canvas: Any = FigureCanvasAgg(axes.figure.figure)
         self._renderer = canvas.get_renderer()
         places = axes.transData.transform(
@@ -197,7 +179,7 @@ class _Labels:
         """Put a label, and take it away again if it covers something."""
         label = self._put(point, text, offset, color, font)
         label.update_positions(self._renderer)
-        # Without the line that leads to it.
+        # Of the text alone: the line that leads to it may cross others.
         box = Text.get_window_extent(label)
         inside = self._axes.bbox
         is_inside = inside.x0 < box.x0 and box.x1 + _MARGIN < inside.x1
@@ -218,27 +200,18 @@ class _Labels:
     ) -> Annotation:
         sides = {-1: "right", 0: "center", 1: "left"}
         style: dict[str, Any] = {
+            "color": color,
             "ha": sides[int(np.sign(offset[0]))],
             "va": "center",
             "fontsize": 8,
+            "zorder": 5,
             **font,
         }
         # A thin line leads from a label that is not next to its point.
-        line = {
-            "arrowstyle": "-",
-            "color": color,
-            "linewidth": 0.6,
-            "shrinkA": 0,
-            "shrinkB": 3,
-        }
-        style |= {"arrowprops": line} if abs(offset[1]) > _NEAR else {}
+        if abs(offset[1]) > _NEAR:
+            line = {"arrowstyle": "-", "color": color, "linewidth": 0.6}
+            style["arrowprops"] = line | {"shrinkA": 0, "shrinkB": 3}
         place = (point["median_ms"], point["mean_db"])
         return self._axes.annotate(
-            text,
-            place,
-            offset,
-            textcoords="offset points",
-            color=color,
-            zorder=5,
-            **style,
+            text, place, offset, textcoords="offset points", **style
         )

@@ -112,9 +112,8 @@ def _stuck(rng: np.random.Generator, skin: Skin, shape: Callable[..., Mask]) -> 
     # A small shape may lie on a hole of the skin alone.
     while not cells.any():
         cells = shape(rng, skin) & skin.exists
-    value = float(
-        rng.choice([0.0, rng.uniform(0, skin.f_max), skin.f_max], p=[0.2, 0.6, 0.2])
-    )
+    values = [0.0, rng.uniform(0, skin.f_max), skin.f_max]
+    value = float(rng.choice(values, p=[0.2, 0.6, 0.2]))
     text = f"{np.count_nonzero(cells)} taxels at {value:.2f} N"
     return Drawn(text, lambda x, moment: np.where(cells, value, x))
 
@@ -150,8 +149,8 @@ def _readings_frozen(rng: np.random.Generator, skin: Skin) -> Drawn:
 
 def _rows(rng: np.random.Generator, y: Floats, share: float) -> Any:
     """Rows that are a share of all, one at least."""
-    count = max(1, round(share * y.size))
-    return rng.permutation(y.size)[:count]
+    n_rows = max(1, round(share * y.size))
+    return rng.permutation(y.size)[:n_rows]
 
 
 def _share_of_rows(rng: np.random.Generator) -> float:
@@ -168,6 +167,7 @@ def _of_rows(share: float) -> str:
 
 
 def _garbage_at_times(rng: np.random.Generator, skin: Skin) -> Drawn:
+    """Other rows each time, as of bit errors on a line."""
     share = _share_of_rows(rng)
     height = _size(rng, 1, 30) * skin.f_max
     interval = int(rng.integers(2, 20))
@@ -180,9 +180,8 @@ def _garbage_at_times(rng: np.random.Generator, skin: Skin) -> Drawn:
         garbage[rows] = moment.rng.uniform(-height, height, rows.size)
         return garbage
 
-    return Drawn(
-        f"{_of_rows(share)} up to {height:.1f} N, every {interval} frames", change
-    )
+    text = f"{_of_rows(share)} up to {height:.1f} N, every {interval} frames"
+    return Drawn(text, change)
 
 
 def _garbage(rng: np.random.Generator, skin: Skin) -> Drawn:
@@ -192,6 +191,7 @@ def _garbage(rng: np.random.Generator, skin: Skin) -> Drawn:
 
     def change(y: Floats, moment: Moment) -> Floats:
         garbage = y.copy()
+        # The same rows in each frame: the number of rows is known only here.
         rows = _rows(np.random.default_rng(seed), y, share)
         garbage[rows] = moment.rng.uniform(-height, height, rows.size)
         return garbage
@@ -222,9 +222,11 @@ def _offset(rng: np.random.Generator, skin: Skin) -> Drawn:
 
 def _hum(rng: np.random.Generator, skin: Skin) -> Drawn:
     height = _size(rng, 0.02, 1) * skin.f_max
-    return Drawn(
-        f"{height:.2f} N", lambda y, moment: y + height * math.sin(HUM_PHASE * moment.k)
-    )
+
+    def change(y: Floats, moment: Moment) -> Floats:
+        return y + height * math.sin(HUM_PHASE * moment.k)
+
+    return Drawn(f"{height:.2f} N", change)
 
 
 def _zeros(rng: np.random.Generator, skin: Skin) -> Drawn:
@@ -265,10 +267,11 @@ def _scaled_down(rng: np.random.Generator, skin: Skin) -> Drawn:
 
 def _loud(rng: np.random.Generator, skin: Skin) -> Drawn:
     deviation = _size(rng, 0.04, 1) * skin.f_max
-    text = f"deviation {deviation:.2f} N"
-    return Drawn(
-        text, lambda y, moment: y + deviation * moment.rng.standard_normal(y.size)
-    )
+
+    def change(y: Floats, moment: Moment) -> Any:
+        return y + deviation * moment.rng.standard_normal(y.size)
+
+    return Drawn(f"deviation {deviation:.2f} N", change)
 
 
 def _out_of_order(rng: np.random.Generator, skin: Skin) -> Drawn:
@@ -347,8 +350,6 @@ OF_MEASUREMENTS: dict[str, Builder] = {
 }
 """Faults of measurements by kind."""
 KINDS = OF_TAXELS | OF_MEASUREMENTS
-HOLD_NOTHING = ("zeros", "all equal", "frozen measurements")
-"""Faults whose measurements hold nothing of the skin in any frame."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -395,6 +396,7 @@ class Spoiler:
             self._previous = values
             self._healthy = values
             return values
+        # A generator a frame: what a lost frame drew does not change the next one.
         rng = np.random.default_rng((fault.seed, k))
         moment = Moment(k - fault.begins, self._previous, self._healthy, rng)
         self._previous = values

@@ -57,18 +57,16 @@ def _rough(rng: np.random.Generator, place: Place) -> Doubles:
 def _checkered(rng: np.random.Generator, place: Place) -> Doubles:
     side = int(rng.integers(1, 3))
     cells = np.floor(place.down / side) + np.floor(place.across / side)
-    return np.where(
-        (cells % 2 == 0) & (place.distance < max(2.0, place.radius)), 1.0, 0.0
-    )
+    is_inside = place.distance < max(2.0, place.radius)
+    return np.where((cells % 2 == 0) & is_inside, 1.0, 0.0)
 
 
 def _bumps(rng: np.random.Generator, place: Place, count: int, width: float) -> Doubles:
     """Sum of Gaussian bumps of one width at random taxels."""
     forces = np.zeros(place.down.shape)
     for _ in range(count):
-        row, col = (
-            rng.uniform(axis.min(), axis.max()) for axis in (place.down, place.across)
-        )
+        row = rng.uniform(place.down.min(), place.down.max())
+        col = rng.uniform(place.across.min(), place.across.max())
         squares = (place.down - row) ** 2 + (place.across - col) ** 2
         forces += rng.uniform(0.3, 1.0) * np.exp(-0.5 * squares / width**2)
     return forces
@@ -94,10 +92,9 @@ def _disc(rng: np.random.Generator, place: Place) -> Doubles:
 
 def _box(rng: np.random.Generator, place: Place) -> Doubles:
     height, width = place.radius * rng.uniform(0.3, 1.0, 2)
-    inside = (np.abs(place.down) <= max(1.0, height)) & (
-        np.abs(place.across) <= max(1.0, width)
-    )
-    return np.where(inside, 1.0, 0.0)
+    is_in_rows = np.abs(place.down) <= max(1.0, height)
+    is_in_cols = np.abs(place.across) <= max(1.0, width)
+    return np.where(is_in_rows & is_in_cols, 1.0, 0.0)
 
 
 def _ring(rng: np.random.Generator, place: Place) -> Doubles:
@@ -108,17 +105,14 @@ def _ring(rng: np.random.Generator, place: Place) -> Doubles:
 
 def _edge(rng: np.random.Generator, place: Place) -> Doubles:
     from_line = np.abs(place.along(rng.uniform(0, math.pi)))
-    length = max(3.0, 2 * place.radius)
-    return np.where(
-        (from_line < rng.uniform(0.6, 1.5)) & (place.distance < length), 1.0, 0.0
-    )
+    is_near = place.distance < max(3.0, 2 * place.radius)
+    return np.where((from_line < rng.uniform(0.6, 1.5)) & is_near, 1.0, 0.0)
 
 
 def _taxel(rng: np.random.Generator, place: Place) -> Doubles:
-    nearest = int(place.distance.argmin())
-    return np.where(np.arange(place.down.size) == nearest, 1.0, 0.0).reshape(
-        place.down.shape
-    )
+    forces = np.zeros(place.down.shape)
+    forces.reshape(-1)[place.distance.argmin()] = 1.0
+    return forces
 
 
 def _few(rng: np.random.Generator, place: Place) -> Doubles:

@@ -39,19 +39,20 @@ def weak_threshold(delta: float) -> float:
     parametric form of Donoho, Maleki, Montanari, PNAS 106 (2009), eq. 4 and 5.
     """
 
+    # The threshold is the largest rho over z; scipy only minimises.
     def negative_rho(z: float) -> float:
-        tail = (1.0 + z * z) * ndtr(-z) - z * np.exp(-0.5 * z * z) / np.sqrt(2 * np.pi)
+        bell = z * np.exp(-0.5 * z * z) / np.sqrt(2 * np.pi)
+        tail = (1.0 + z * z) * ndtr(-z) - bell
         return -float((1.0 - 2.0 / delta * tail) / (1.0 + z * z - 2.0 * tail))
 
-    found = minimize_scalar(negative_rho, bounds=(0.0, 8.0), method="bounded")
-    return -float(found.fun)
+    lowest = minimize_scalar(negative_rho, bounds=(0.0, 8.0), method="bounded")
+    return -float(lowest.fun)
 
 
 def coefficients(ratio: float, quick: bool) -> dict[float, int]:
     """Numbers of coefficients of the pads at a ratio, by K/M."""
-    return {
-        rho: round(rho * SIDE**2 / ratio) for rho in (QUICK_RHOS if quick else RHOS)
-    }
+    rhos = QUICK_RHOS if quick else RHOS
+    return {rho: round(rho * SIDE**2 / ratio) for rho in rhos}
 
 
 def experiments(quick: bool, seed: int) -> Iterator[Experiment]:
@@ -60,41 +61,39 @@ def experiments(quick: bool, seed: int) -> Iterator[Experiment]:
     candidates |= LARGER | READINGS
     seeds = range(seed, seed + (1 if quick else 3))
     for ratio in QUICK_RATIOS if quick else RATIOS:
-        counts = [
-            count for count in coefficients(ratio, quick).values() if count >= LEAST_K
-        ]
-        frames = [PadFrames(SIDE, k, N_STATIC, N_STATIC - N_JUDGED) for k in counts]
-        yield Experiment(
-            "phase", frames, [Measurement(ratio)], candidates, ("mean_db",), seeds
-        )
+        frames = []
+        for k in coefficients(ratio, quick).values():
+            if k >= LEAST_K:
+                frames.append(PadFrames(SIDE, k, N_STATIC, N_STATIC - N_JUDGED))
+        measurements = [Measurement(ratio)]
+        yield Experiment("phase", frames, measurements, candidates, ("mean_db",), seeds)
 
 
 def section(page: Page, quick: bool, seed: int, executor: str) -> None:
     """Compute, draw and add the section."""
-    every = pd.concat(one.run(page.out, executor) for one in experiments(quick, seed))
-    every = every.astype({"mean_db": float})
-    means = every.groupby(["n_coefficients", "ratio", "method"], sort=False)[
-        "mean_db"
-    ].mean()
-    gains = means.unstack("method")
-    gains = gains.drop(columns=list(READINGS)).sub(gains[next(iter(READINGS))], axis=0)
+    parts = [
+        experiment.run(page.out, executor) for experiment in experiments(quick, seed)
+    ]
+    every = pd.concat(parts).astype({"mean_db": float})
+    of_pads = every.groupby(["n_coefficients", "ratio", "method"], sort=False)
+    psnr_db = of_pads["mean_db"].mean().unstack("method")
+    # What compressing gains over reading all taxels of the same frames.
+    (name,) = READINGS
+    gains = psnr_db.drop(columns=name).sub(psnr_db[name], axis=0)
     rows = gains.stack().rename("gain_db").reset_index()
     rows["k_over_m"] = rows["n_coefficients"] * rows["ratio"] / SIDE**2
     page.csv("phase_skin", rows)
-    page.section(
-        "Solvers: measurements that a frame needs", _draw(page.out, rows, quick)
-    )
+    title = "Solvers: measurements that a frame needs"
+    page.section(title, _draw(page.out, rows, quick))
 
 
 def _edges(centres: Sequence[float]) -> list[float]:
     """Edges of the cells about ascending centres: half way between them."""
     values = np.asarray(centres)
     inner = (values[1:] + values[:-1]) / 2
-    return [
-        float(1.5 * values[0] - values[1] / 2),
-        *inner,
-        float(1.5 * values[-1] - values[-2] / 2),
-    ]
+    begin = 1.5 * values[0] - values[1] / 2
+    end = 1.5 * values[-1] - values[-2] / 2
+    return [float(begin), *inner, float(end)]
 
 
 def _gains(rows: pd.DataFrame, quick: bool) -> Floats:
@@ -102,12 +101,12 @@ def _gains(rows: pd.DataFrame, quick: bool) -> Floats:
     known = rows.set_index(["n_coefficients", "ratio"])["gain_db"]
     rhos = QUICK_RHOS if quick else RHOS
     ratios = QUICK_RATIOS if quick else RATIOS
-    keys = [
-        [(coefficients(ratio, quick)[rho], ratio) for ratio in ratios] for rho in rhos
-    ]
-    return np.array(
-        [[known.get(key, np.nan) for key in line] for line in keys], dtype=np.float32
-    )
+    gains = np.full((len(rhos), len(ratios)), np.nan, dtype=np.float32)
+    for column, ratio in enumerate(ratios):
+        counts = coefficients(ratio, quick)
+        for row, rho in enumerate(rhos):
+            gains[row, column] = known.get((counts[rho], ratio), np.nan)
+    return gains
 
 
 def _draw(out: Path, rows: pd.DataFrame, quick: bool) -> str:

@@ -51,10 +51,10 @@ class RestWorld:
         skin = self.skin
         f_max = self.skin.f_max
         size = f"{skin.n_taxels} taxels of {skin.n_rows} x {skin.n_cols}"
-        parts = (
-            f"level {self.level / f_max:.3f}, noise {self.noise / f_max:.4f} of f_max"
-        )
-        return f"{self.kind}: {size}, {parts}, {self.load} from frame {self.begin} on"
+        level = f"level {self.level / f_max:.3f}"
+        noise = f"noise {self.noise / f_max:.4f} of f_max"
+        load = f"{self.load} from frame {self.begin} on"
+        return f"{self.kind}: {size}, {level}, {noise}, {load}"
 
 
 def draw_rest_world(rng: np.random.Generator, kind: str) -> RestWorld:
@@ -71,9 +71,9 @@ def draw_rest_world(rng: np.random.Generator, kind: str) -> RestWorld:
     load = draw_load(rng, exists, f_max)
     begin = int(rng.choice([0, 0, *rng.integers(5, 60, 4)]))
     is_level = kind in (LEVEL, LEVEL_FALLS)
-    rest = (
-        _draw_levels(rng, (rows, cols), f_max) if is_level else np.zeros((rows, cols))
-    )
+    rest = np.zeros((rows, cols))
+    if is_level:
+        rest = _draw_levels(rng, (rows, cols), f_max)
     is_clipped = is_level or (kind == FORCES and rng.random() < 0.5)
     readings = []
     forces = []
@@ -127,11 +127,11 @@ def _pressed(rest: Doubles, press: Doubles, f_max: float, kind: str) -> Doubles:
 def reasons_of(world: RestWorld) -> list[str]:
     """Reason of each frame, by its readings alone."""
     zero = Zero(world.skin)
-    found = []
+    reasons = []
     for frame in world.readings:
         zero.forces(frame)
-        found.append(str(zero.reason))
-    return found
+        reasons.append(str(zero.reason))
+    return reasons
 
 
 def are_hidden(world: RestWorld, reasons: list[str]) -> list[bool]:
@@ -140,12 +140,12 @@ def are_hidden(world: RestWorld, reasons: list[str]) -> list[bool]:
     """
     if world.kind in (LEVEL, LEVEL_FALLS):
         return [not reason for reason in reasons]
-    least = 2 * max(0.01 * world.skin.f_max, 6 * world.noise)
-    is_pressed = [float(forces.max()) > least for forces in world.forces]
-    is_wrong = [world.kind == FALLS and pressed for pressed in is_pressed]
-    return [
-        wrong and not reason for wrong, reason in zip(is_wrong, reasons, strict=True)
-    ]
+    if world.kind == FORCES:
+        return [False] * len(reasons)
+    hidden_n = 2 * max(0.01 * world.skin.f_max, 6 * world.noise)
+    is_pressed = [float(forces.max()) > hidden_n for forces in world.forces]
+    frames = zip(is_pressed, reasons, strict=True)
+    return [pressed and not reason for pressed, reason in frames]
 
 
 def is_missed(world: RestWorld, reasons: list[str]) -> bool:
@@ -162,17 +162,13 @@ def main(n_worlds: int) -> None:
     """Print the shares of misses and false alarms: worlds, and frames of them."""
     for kind in KINDS:
         for begins in (True, False):
-            counts = _counts(kind, n_worlds, begins)
             when = "touched from the first frame on" if begins else "untouched at first"
-            what = "false alarms" if kind == FORCES else "misses"
-            print(
-                f"{kind}, {when}: {what}: {counts[0]} of {counts[1]} worlds, ", end=""
-            )
-            print(f"{counts[2]} of {counts[3]} frames")
+            error = "false alarms" if kind == FORCES else "misses"
+            print(f"{kind}, {when}: {error}: {_counts(kind, n_worlds, begins)}")
 
 
-def _counts(kind: str, n_worlds: int, begins: bool) -> list[int]:
-    """Numbers of wrong worlds, of worlds, of wrong frames and of frames."""
+def _counts(kind: str, n_worlds: int, begins: bool) -> str:
+    """Numbers of wrong worlds and frames, each of all, in words."""
     counts = [0, 0, 0, 0]
     for seed in range(n_worlds):
         world = draw_rest_world(np.random.default_rng((KINDS.index(kind), seed)), kind)
@@ -186,7 +182,7 @@ def _counts(kind: str, n_worlds: int, begins: bool) -> list[int]:
         counts[1] += 1
         counts[2] += sum(wrong)
         counts[3] += len(wrong)
-    return counts
+    return "{} of {} worlds, {} of {} frames".format(*counts)
 
 
 if __name__ == "__main__":

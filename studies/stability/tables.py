@@ -11,7 +11,7 @@ import pandas as pd
 from sparseskin.nodes.compressor.phi.rotation import ROTATING
 from sparseskin.studies.evaluate import CLOSE
 from sparseskin.studies.points import compute_rows
-from sparseskin.studies.report import PALETTE, Chart, Page
+from sparseskin.studies.report import PALETTE, Chart, Page, cells
 
 from . import faults, loads, phase, sweeps
 from .verdicts import GOOD, WAYS, judge
@@ -121,17 +121,8 @@ def shares(rows: pd.DataFrame, by: str) -> pd.DataFrame:
     kinds = rows.assign(
         worlds=1, of_silent=rows["silent"] > 0, of_residue=rows["residue"] > RESIDUE
     ).groupby(by, sort=False)
-    names = [
-        "worlds",
-        "frames",
-        "wrong",
-        "silent",
-        "right",
-        "alarms",
-        "of_silent",
-        "of_residue",
-    ]
-    sums = kinds[[*names, "estimated", "close"]].sum()
+    counts = ["frames", "wrong", "silent", "right", "alarms", "estimated", "close"]
+    sums = kinds[["worlds", *counts, "of_silent", "of_residue"]].sum()
     sums["close"] = sums["close"] / sums["estimated"].where(sums["estimated"] > 0)
     sums["wrong"] = sums["wrong"] / sums["frames"]
     sums["silent"] = sums["silent"] / sums["frames"]
@@ -151,20 +142,20 @@ def without_fault(page: Page, rows: pd.DataFrame) -> str:
     """Add the section on worlds without a fault, by kind of load; the line of the conclusion."""
     sound = rows[(rows["group"] == NO_FAULT) & (rows["through"] == "Stream")]
     kinds = shares(sound, "load")
-    table = pd.DataFrame(
-        {
-            "load": kinds["load"],
-            "worlds": kinds["worlds"],
-            "error, %": kinds["error"].map(percent),
-            "reading all, %": kinds["reading"].map(percent),
-            "wrong, %": kinds["wrong"].map(percent),
-            "silent, %": kinds["silent"].map(percent),
-            "false alarms, %": kinds["alarms"].map(percent),
-            "force stays": kinds["of_residue"],
-            "estimate close, %": kinds["close"].map(percent),
-        }
-    )
+    headings = {
+        "load": "load",
+        "worlds": "worlds",
+        "error": "error, %",
+        "reading": "reading all, %",
+        "wrong": "wrong, %",
+        "silent": "silent, %",
+        "alarms": "false alarms, %",
+        "of_residue": "force stays",
+        "close": "estimate close, %",
+    }
+    table = _with_percents(kinds, headings)
     page.section("Worlds without a fault", table, residue=f"{RESIDUE:.0%}")
+    # After a cycle of rotating rows a still load has been measured in full: little error is due.
     still = sound[(sound["motion"] == "still") & (sound["rows"] == ROTATING)]
     still = still[still["reading"] < GOOD]
     is_far = still["error"] > FAR_FROM_READING * still["reading"]
@@ -177,6 +168,15 @@ def without_fault(page: Page, rows: pd.DataFrame) -> str:
         f"twice the error of reading all taxels in {is_far.sum()} of {len(still)}; estimated "
         f"errors are within a factor of {CLOSE:g} in {each} of the pressed frames."
     )
+
+
+def _with_percents(kinds: pd.DataFrame, headings: Mapping[str, str]) -> pd.DataFrame:
+    """Columns under their headings, those that end in % as percentages."""
+    table = kinds[list(headings)].set_axis(list(headings.values()), axis="columns")
+    for heading in table:
+        if heading.endswith("%"):
+            table[heading] = table[heading].map(percent)
+    return table
 
 
 def _counts(rows: pd.DataFrame) -> str:
@@ -195,20 +195,17 @@ def with_fault(page: Page, rows: pd.DataFrame) -> str:
     kinds = shares(faulty, "fault").sort_values(
         "silent", ascending=False, kind="stable"
     )
-    table = pd.DataFrame(
-        {
-            "fault": kinds["fault"],
-            "worlds": kinds["worlds"],
-            "wrong, %": kinds["wrong"].map(percent),
-            "silent, %": kinds["silent"].map(percent),
-            "false alarms, %": kinds["alarms"].map(percent),
-            "worlds with silent frames": kinds["of_silent"],
-        }
-    )
-    chart = _draw(page.out, kinds)
-    page.section(
-        "Faults of taxels and measurements", chart, table, goal=f"{SILENT_GOAL:.0%}"
-    )
+    headings = {
+        "fault": "fault",
+        "worlds": "worlds",
+        "wrong": "wrong, %",
+        "silent": "silent, %",
+        "alarms": "false alarms, %",
+        "of_silent": "worlds with silent frames",
+    }
+    parts = (_draw(page.out, kinds), _with_percents(kinds, headings))
+    goal = f"{SILENT_GOAL:.0%}"
+    page.section("Faults of taxels and measurements", *parts, goal=goal)
     return f"With a fault, {_counts(faulty)}."
 
 
@@ -254,13 +251,11 @@ def all_ways(page: Page, rows: pd.DataFrame) -> None:
     lines = []
     for group in ALL_WAYS:
         ways = shares(through_all[through_all["group"] == group], "through")
-        cells = {
-            way["through"]: (
-                f"{percent(way['silent'])} / {percent(way['alarms'])} / {way['of_residue']}"
-            )
-            for way in ways.to_dict("records")
-        }
-        lines.append({"fault": group, "worlds": ways["worlds"].iloc[0], **cells})
+        line = {"fault": group, "worlds": ways["worlds"].iloc[0]}
+        for way in ways.to_dict("records"):
+            parts = (percent(way["silent"]), percent(way["alarms"]), way["of_residue"])
+            line[way["through"]] = "{} / {} / {}".format(*parts)
+        lines.append(line)
     page.section("Three ways through", pd.DataFrame(lines))
 
 
@@ -270,9 +265,4 @@ def worst_worlds(page: Page, rows: pd.DataFrame) -> list[str]:
     worst = streams[streams["silent"] > 0].nlargest(N_LISTED, "silent")
     table = worst[["silent", "frames", "world"]]
     page.section("Worlds with the largest number of silent frames", table)
-    lines = []
-    for row in table.to_dict("records"):
-        lines.append(
-            f"{row['silent']} of {row['frames']} frames silent: {row['world']}"
-        )
-    return lines
+    return cells(table, "{silent} of {frames} frames silent: {world}")

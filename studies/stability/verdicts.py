@@ -92,8 +92,10 @@ def through_stream(world: World, fast: str) -> Iterator[tuple[Frame, Answer | No
         "ratio": world.ratio,
         "rows": world.rows,
         "seed": world.seed % 5,
+        "mask": world.mask,
+        "fast": fast,
+        **world.noise.options,
     }
-    options |= {"mask": world.mask, "fast": fast, **world.noise.options}
     edge = Stream(world.shape, **options)
     host = Stream(world.shape, **options)
     spoiler = world.spoiler(of_taxels=False)
@@ -103,10 +105,8 @@ def through_stream(world: World, fast: str) -> Iterator[tuple[Frame, Answer | No
             yield frame, None
             continue
         forces = host.reconstruct(y, k, edge.sensed)
-        yield (
-            frame,
-            Answer(forces, host.trusted, host.reason, spoiler.is_empty, host.error),
-        )
+        trust = (host.trusted, host.reason)
+        yield frame, Answer(forces, *trust, spoiler.is_empty, host.error)
 
 
 def through_arrays(world: World, fast: str) -> Iterator[tuple[Frame, Answer | None]]:
@@ -114,29 +114,26 @@ def through_arrays(world: World, fast: str) -> Iterator[tuple[Frame, Answer | No
     n = int(np.count_nonzero(world.exists))
     phi = make_phi("sbhe", n, m_of(n, world.ratio, world.rows), seed=world.seed % 5)
     basis = make_basis("haar", *world.shape)
-    solver: Any = make_solver(
-        "skin", phi, basis, world.exists, fast=fast, rows=world.rows
-    )
+    options: dict[str, Any] = {"fast": fast, "rows": world.rows}
+    solver: Any = make_solver("skin", phi, basis, world.exists, **options)
     _state_noise(solver, world)
     subsets = getattr(solver, "subsets", ())
     frames = list(world.frames())
     readings = np.stack([frame.readings for frame in frames])
+    measurements = compress(readings, phi, world.exists, rows=world.rows)
     spoiler = world.spoiler(of_taxels=False)
-    for k, measured in enumerate(
-        compress(readings, phi, world.exists, rows=world.rows)
-    ):
+    for k, measured in enumerate(measurements):
         y = spoiler.spoil(measured)
         if y is None:
             yield frames[k], None
             continue
         if subsets:
+            # Rotating rows: a frame has those of its number, also where one before it was lost.
             solver.use(subsets[k % len(subsets)])
         forces = reconstruct(y, solver)
-        estimate, trusted = estimated_error(solver)
-        yield (
-            frames[k],
-            Answer(forces, trusted, solver.reason, spoiler.is_empty, estimate),
-        )
+        error, trusted = estimated_error(solver)
+        trust = (trusted, solver.reason)
+        yield frames[k], Answer(forces, *trust, spoiler.is_empty, error)
 
 
 def _state_noise(solver: Any, world: World) -> None:
@@ -152,10 +149,12 @@ def _state_noise(solver: Any, world: World) -> None:
 def through_graph(world: World, fast: str) -> Iterator[tuple[Frame, Answer | None]]:
     """Through the nodes of a graph."""
     context = Context("", ManualClock(0), live=False)
-    settings = Compressor.Settings(
-        ratio=world.ratio, rows=world.rows, seed=world.seed % 5
-    )
-    edge = Compressor(settings, context)
+    rows: dict[str, Any] = {
+        "ratio": world.ratio,
+        "rows": world.rows,
+        "seed": world.seed % 5,
+    }
+    edge = Compressor(Compressor.Settings(**rows), context)
     host = Reconstructor(Reconstructor.Settings(fast=fast), context)
     skin = _skin_state(world)
     for message in (skin, *edge.step(skin)):
@@ -176,10 +175,9 @@ def through_graph(world: World, fast: str) -> Iterator[tuple[Frame, Answer | Non
         if y is None:
             yield frame, None
             continue
-        messages = host.step(replace(measured, y=y[np.newaxis]))
-        (answer,) = (
-            message for message in messages if isinstance(message, Reconstruction)
-        )
+        sent = host.step(replace(measured, y=y[np.newaxis]))
+        # Contacts and other state may come with it.
+        (answer,) = (each for each in sent if isinstance(each, Reconstruction))
         trust = answer.trusted[0], answer.reason[0]
         yield frame, Answer(answer.forces[0], *trust, spoiler.is_empty, answer.error[0])
 

@@ -56,9 +56,8 @@ class Noise(NamedTuple):
         if self.kind == "unclipped":
             noise = rng.standard_normal(forces.shape, dtype=np.float32)
             return forces + np.float32(self.sigma_end) * noise
-        return NoiseModel(PAPER_F_MAX_N, self.sigma_mid, self.sigma_end).apply(
-            forces, rng
-        )
+        model = NoiseModel(PAPER_F_MAX_N, self.sigma_mid, self.sigma_end)
+        return model.apply(forces, rng)
 
     @property
     def options(self) -> dict[str, Any]:
@@ -196,17 +195,13 @@ def draw_world(
 def _draw_shape(rng: np.random.Generator, sides: Sequence[int]) -> tuple[int, int]:
     """Square as often as not."""
     n_rows = int(rng.choice(sides))
-    n_cols = int(
-        rng.choice([n_rows, n_rows, rng.choice(sides), n_rows + rng.integers(1, 8)])
-    )
-    return n_rows, n_cols
+    widths = [n_rows, n_rows, rng.choice(sides), n_rows + rng.integers(1, 8)]
+    return n_rows, int(rng.choice(widths))
 
 
 def _draw_mask(rng: np.random.Generator, shape: tuple[int, int]) -> Mask | None:
     """A third of the skins lack cells: around an ellipse, in discs, or anywhere."""
-    kind = str(
-        rng.choice(["none", "none", "none", "none", "outline", "discs", "anywhere"])
-    )
+    kind = str(rng.choice(["none"] * 4 + ["outline", "discs", "anywhere"]))
     rows, cols = np.indices(shape).astype(np.float64)
     if kind == "none":
         return None

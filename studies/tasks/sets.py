@@ -53,9 +53,8 @@ def read_set(folder: str) -> LabelledFrames:
     arrays = sorted(path.glob(SET_FILE))
     if len(arrays) != 1:
         allowed = "RawCharacters/*.h5 (STEMNIST), or one .npz of frames and labels"
-        raise StudyError(
-            f"--data {folder}: {len(arrays)} files .npz; allowed: {allowed}"
-        )
+        text = f"{len(arrays)} files .npz; allowed: {allowed}"
+        raise StudyError(f"--data {folder}: {text}")
     return _arrays(arrays[0])
 
 

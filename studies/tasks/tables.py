@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
+from matplotlib.axes import Axes
 from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
 from sparseskin.nodes.numerics.arrays import Doubles
@@ -70,10 +71,12 @@ def run(
         "least_n": PEAKS_N[0],
         "most_n": PEAKS_N[1],
         "names": ", ".join(NAMES),
+        "n_labels": len(NAMES),
+        "n_train": N_TRAIN,
+        "n_test": N_TEST,
     }
-    sizes["n_labels"] = len(NAMES)
-    sizes |= {"n_train": QUICK_TRAIN if quick else N_TRAIN}
-    sizes |= {"n_test": QUICK_TEST if quick else N_TEST}
+    if quick:
+        sizes |= {"n_train": QUICK_TRAIN, "n_test": QUICK_TEST}
     page.section("Shapes", *tables(means, SHAPE_TASK), **sizes)
     if data:
         name = next(task for task in means["task"] if task != SHAPE_TASK)
@@ -106,9 +109,8 @@ def _drawn(count: int, seed: int) -> Presses:
 def of_shapes(point: dict[str, Any]) -> dict[str, Any]:
     """Recognition of presses: accuracy, %; median errors of angle, degrees, and place, taxels."""
     n_train = QUICK_TRAIN if point["quick"] else N_TRAIN
-    presses = _drawn(
-        n_train + (QUICK_TEST if point["quick"] else N_TEST), point["seed"]
-    )
+    n_test = QUICK_TEST if point["quick"] else N_TEST
+    presses = _drawn(n_train + n_test, point["seed"])
     inputs = WAYS[point["way"]](presses.frames, point["ratio"], point["seed"])
     train = slice(n_train)
     test = slice(n_train, None)
@@ -118,17 +120,15 @@ def of_shapes(point: dict[str, Any]) -> dict[str, Any]:
     middle = (SIDE - 1) / 2
 
     # An angle is a direction of as many turns as the shape looks the same; of a disc there is none.
-    directions = (
-        np.stack([np.cos(turned), np.sin(turned)], axis=1) * (orders > 0)[:, None]
-    )
+    directions = np.stack([np.cos(turned), np.sin(turned)], axis=1)
+    directions *= (orders > 0)[:, None]
     figures = np.hstack([directions, (presses.places - middle) / SIDE])
     model = Classifier().fit(inputs[train], presses.labels[train], figures[train])
 
     shares, estimates = model.predict_all(inputs[test])
     right = model.classes_[shares.argmax(axis=1)] == presses.labels[test]
-    off = np.linalg.norm(
-        middle + SIDE * estimates[:, 2:] - presses.places[test], axis=1
-    )
+    places = middle + SIDE * estimates[:, 2:]
+    off = np.linalg.norm(places - presses.places[test], axis=1)
     angles = _angle_errors(estimates[:, :2], turned[test], orders[test])
     return {
         "task": SHAPE_TASK,
@@ -191,8 +191,8 @@ def tables(means: pd.DataFrame, task: str) -> list[str]:
     figures = {
         "accuracy": "recognised, %",
         "angle_deg": "median error of the angle, degrees",
+        "place_taxels": "median error of the place, taxels",
     }
-    figures["place_taxels"] = "median error of the place, taxels"
     texts = []
     for figure, title in figures.items():
         if figure not in rows or rows[figure].isna().all():
@@ -229,38 +229,29 @@ def draw_chart(out: Path, means: pd.DataFrame) -> str:
     """Chart of accuracy over bytes: a panel a task, a line a way."""
     tasks: Sequence[str] = list(means["task"].unique())
     n = len(tasks)
-    layout: dict[str, Any] = {
-        "size_in": (5.4 * n + 1.2, 4.6),
-        "legend_columns": 3,
-        "sharey": True,
-    }
+    size_in = (5.4 * n + 1.2, 4.6)
+    layout: dict[str, Any] = {"size_in": size_in, "legend_columns": 3, "sharey": True}
     with Chart(out, "accuracy_over_bytes", CAPTION, n, n, **layout) as chart:
         for axes, task in zip(chart.panels, tasks, strict=True):
             rows = means[means["task"] == task].sort_values("n_bytes")
-            full = rows[rows["way"] == ALL].iloc[0]
-            black: dict[str, Any] = {"color": PALETTE[-1], "zorder": 1}
-            axes.axhline(full["accuracy"], linestyle="--", linewidth=1.0, **black)
-            axes.plot(
-                full["n_bytes"],
-                full["accuracy"],
-                "*",
-                label=ALL,
-                markersize=11,
-                **black,
-            )
-            for way, place in PLACES_IN_PALETTE.items():
-                along = rows[rows["way"] == way]
-                axes.plot(
-                    along["n_bytes"],
-                    along["accuracy"],
-                    label=way,
-                    **series_style(place),
-                )
-            axes.set(
-                xscale="log", title=task if task != SHAPE_TASK else "twelve shapes"
-            )
-            axes.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
-            axes.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
-            axes.xaxis.set_minor_formatter(NullFormatter())
+            _draw_task(axes, rows)
+            axes.set_title("twelve shapes" if task == SHAPE_TASK else task)
         chart.label("bytes sent per frame", "recognised, %")
     return chart.markdown
+
+
+def _draw_task(axes: Axes, rows: pd.DataFrame) -> None:
+    """A line a way, and the reading of all taxels as a star on a line across."""
+    full = rows[rows["way"] == ALL].iloc[0]
+    star = (full["n_bytes"], full["accuracy"])
+    black: dict[str, Any] = {"color": PALETTE[-1], "zorder": 1}
+    axes.axhline(full["accuracy"], linestyle="--", linewidth=1.0, **black)
+    axes.plot(*star, "*", label=ALL, markersize=11, **black)
+    for way, place in PLACES_IN_PALETTE.items():
+        along = rows[rows["way"] == way]
+        style = series_style(place)
+        axes.plot(along["n_bytes"], along["accuracy"], label=way, **style)
+    axes.set_xscale("log")
+    axes.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+    axes.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+    axes.xaxis.set_minor_formatter(NullFormatter())

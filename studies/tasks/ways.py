@@ -49,10 +49,8 @@ def _single(frames: Floats, ratio: int, seed: int) -> Floats:
     """An even lattice of taxels, of N / ratio at most."""
     mask = np.ones(frames.shape[1:], dtype=np.bool_)
     m = m_of(mask.size, ratio)
-    read = max(
-        (cells for cells in classes(mask, ratio) if cells.size <= m),
-        key=lambda cells: cells.size,
-    )
+    lattices = [cells for cells in classes(mask, ratio) if cells.size <= m]
+    read = max(lattices, key=np.size)
     return frames.reshape(len(frames), -1)[:, read]
 
 

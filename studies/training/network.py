@@ -49,18 +49,16 @@ def first_network(seed: int) -> Network:
     def draw(*shape: int, scale: float) -> Tensor:
         return scale * torch.randn(*shape, generator=generator)
 
-    inside = np.zeros((WINDOW, WINDOW), dtype=np.bool_)
-    inside[MARGIN:-MARGIN, MARGIN:-MARGIN] = True
-    haar = np.zeros((TILE * TILE, WINDOW * WINDOW))
+    # Haar's filters see the tile alone, and their synthesis is the transpose.
     units = np.eye(TILE * TILE, dtype=np.float32).reshape(-1, TILE, TILE)
-    haar[:, inside.reshape(-1)] = (
-        HaarBasis(TILE, TILE).analysis(units).reshape(len(units), -1).T
-    )
+    analysis = HaarBasis(TILE, TILE).analysis(units).reshape(len(units), -1)
+    haar = np.zeros((TILE * TILE, WINDOW, WINDOW))
+    tiles = haar[:, MARGIN:-MARGIN, MARGIN:-MARGIN]
+    tiles[:] = analysis.T.reshape(tiles.shape)
     n_more = N_FILTERS - TILE * TILE
-    filters = torch.tensor(
-        np.concatenate([haar, cosines(WINDOW)[:n_more]]), dtype=torch.float32
-    )
-    tile = torch.tensor(haar[:, inside.reshape(-1)].T, dtype=torch.float32)
+    rows = np.concatenate([haar.reshape(len(haar), -1), cosines(WINDOW)[:n_more]])
+    filters = torch.tensor(rows, dtype=torch.float32)
+    tile = torch.tensor(analysis, dtype=torch.float32)
     network = {
         "filters": filters + draw(N_FILTERS, WINDOW**2, scale=0.01),
         "hidden": draw(N_HIDDEN, 2 * N_FILTERS, scale=(2 * N_FILTERS) ** -0.5),
@@ -77,10 +75,10 @@ def first_network(seed: int) -> Network:
 def cosines(side: int) -> Doubles:
     """Return two-dimensional cosines by frequency, float64 (side^2, side^2), orthonormal rows."""
     k = np.arange(side)
-    cosines = np.sqrt(2 / side) * np.cos(np.pi * (k + 0.5) * k[:, None] / side)
-    cosines[0] /= math.sqrt(2)
+    one_way = np.sqrt(2 / side) * np.cos(np.pi * (k + 0.5) * k[:, None] / side)
+    one_way[0] /= math.sqrt(2)
     order = np.argsort(np.add.outer(k, k).reshape(-1), kind="stable")
-    products: Doubles = np.kron(cosines, cosines)[order]
+    products: Doubles = np.kron(one_way, one_way)[order]
     return products
 
 
@@ -119,16 +117,13 @@ def denoise(
     k, down = windows.shape[:2]
     windows = windows.reshape(-1, WINDOW * WINDOW)
     tiles, error = gated(network, windows)
-    x = (
-        tiles.reshape(k, down, -1, TILE, TILE)
-        .transpose(2, 3)
-        .reshape(k, down * TILE, -1)
-    )
-    x = x[:, row : row + SIDE, col : col + SIDE] * mask * s[:, None, None]
-    share = functional.avg_pool2d(functional.pad(mask, sides)[:, None], TILE).reshape(
-        k, -1
-    )
-    return x, (error.reshape(k, -1) * share).sum(1) / share.sum(1)
+    # Rows of taxels run across tiles that are next to each other.
+    x = tiles.reshape(k, down, -1, TILE, TILE).transpose(2, 3)
+    x = x.reshape(k, down * TILE, -1)[:, row : row + SIDE, col : col + SIDE]
+    padded = functional.pad(mask, sides)[:, None]
+    share = functional.avg_pool2d(padded, TILE).reshape(k, -1)
+    mean_error = (error.reshape(k, -1) * share).sum(1) / share.sum(1)
+    return x * mask * s[:, None, None], mean_error
 
 
 class Drawn:
@@ -141,9 +136,8 @@ class Drawn:
 
     def _batch(self, size: int) -> tuple[Any, Any]:
         """Presses (size, N_FRAMES, SIDE, SIDE), mirrored or transposed, and their masks."""
-        drawn = self._pool[
-            torch.randint(len(self._pool), (size,), generator=self._generator)
-        ]
+        places = torch.randint(len(self._pool), (size,), generator=self._generator)
+        drawn = self._pool[places]
         turn = int(self._rng.integers(8))
         drawn = drawn.flip([axis for bit, axis in ((1, -1), (2, -2)) if turn & bit])
         if turn & 4:
@@ -161,9 +155,9 @@ class Drawn:
         x = presses[:, int(self._rng.integers(N_FRAMES))]
         s = self._noise(len(x), *NOISE)
         e, error = self._errors(network, x, s, mask)
-        loss = (e + FLOOR).log().mean() + 0.3 * (
-            error.log() + e.detach() / error
-        ).mean()
+        # The second part is least where the expected error is the mean of the true one.
+        of_error = (error.log() + e.detach() / error).mean()
+        loss = (e + FLOOR).log().mean() + 0.3 * of_error
         return loss, 10 * float((e.detach() + FLOOR).log10().mean())
 
     def score(self, network: Any) -> pd.DataFrame:
@@ -200,10 +194,9 @@ def trained(
         rows = list[dict[str, Any]]()
         mean = 0.0
         for k in trange(n_batches, desc="tiles", leave=False):
+            fall = 1 + math.cos(math.pi * k / n_batches)
             for group in optimiser.param_groups:
-                group["lr"] = (
-                    RATE * 0.5 * (1 + math.cos(math.pi * k / n_batches)) + 1e-6
-                )
+                group["lr"] = RATE * 0.5 * fall + 1e-6
             loss, error_db = drawn.loss(network)
             optimiser.zero_grad()
             loss.backward()
@@ -214,13 +207,12 @@ def trained(
                 rows.append({"batch": k + 1, "error_db": mean})
         held_out = presses(HELD_OUT, seed + 1)
         scores = Drawn(seed + 1, held_out).score(network)
-        if (shipped := stored_gates()) is not None:
-            shipped_network = {
-                name: torch.tensor(getattr(shipped, name)) for name in network
-            }
-            scores["error, shipped weights"] = Drawn(seed + 1, held_out).score(
-                shipped_network
-            )["error"]
+        gates = stored_gates()
+        if gates is not None:
+            # A new `Drawn` of the same seed: both are scored on the same noise.
+            shipped = {name: torch.tensor(getattr(gates, name)) for name in network}
+            of_shipped = Drawn(seed + 1, held_out).score(shipped)
+            scores["error, shipped weights"] = of_shipped["error"]
         return weights(network), rows, scores
     finally:
         torch.set_num_threads(n_threads)

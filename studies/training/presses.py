@@ -43,10 +43,9 @@ def masks(rng: np.random.Generator, count: int) -> Floats:
         c = rng.uniform(8, 24, 2)
         a = rng.uniform(4, 20, 2)
         power = rng.choice([2.0, 4.0, 64.0])
-        is_taxel[k] = (
-            np.abs((row - c[0]) / a[0]) ** power + np.abs((col - c[1]) / a[1]) ** power
-            < 1
-        )
+        down = np.abs((row - c[0]) / a[0]) ** power
+        across = np.abs((col - c[1]) / a[1]) ** power
+        is_taxel[k] = down + across < 1
     return is_taxel
 
 
@@ -73,12 +72,10 @@ def _drawn(rng: np.random.Generator) -> Doubles:
         if kind > 0.97:
             forces += rng.uniform(0.02, 0.3)
     if rng.random() < 0.25:
-        grain = ndimage.gaussian_filter(
-            rng.standard_normal((SIDE, SIDE)), rng.uniform(0, 1.5)
-        )
-        forces = forces * np.maximum(
-            0, 1 + rng.uniform(0.05, 0.5) * grain / grain.std()
-        )
+        noise = rng.standard_normal((SIDE, SIDE))
+        grain = ndimage.gaussian_filter(noise, rng.uniform(0, 1.5))
+        rough = 1 + rng.uniform(0.05, 0.5) * grain / grain.std()
+        forces = forces * np.maximum(0, rough)
     if rng.random() < 0.1:
         single = rng.random((SIDE, SIDE)) < rng.uniform(0.001, 0.02)
         forces = forces + single * rng.uniform(0.1, 1.0, (SIDE, SIDE)) * forces.max()
@@ -99,95 +96,111 @@ def bodies(rng: np.random.Generator) -> Doubles:
     edge = math.exp(rng.uniform(math.log(0.08), math.log(2.5)))
     pressures = np.empty((N_FRAMES, SIDE, SIDE))
     for t in range(N_FRAMES):
-        row, col = (
-            np.arange(SIDE) + 0.5 - (c + t * v)
-            for c, v in zip(centre, speed, strict=True)
-        )
+        place = centre + t * speed
+        row = (np.arange(SIDE) + 0.5 - place[0])[:, None]
+        col = np.arange(SIDE) + 0.5 - place[1]
         phi = angle + t * turn
-        along = math.cos(phi) * row[:, None] + math.sin(phi) * col
-        across = -math.sin(phi) * row[:, None] + math.cos(phi) * col
-        pressures[t] = (
-            shape(along, across)
-            if edge < 0.2
-            else _softened(shape(along, across), edge)
-        )
-        pressures[t] *= np.clip(1 + tilt[0] * row[:, None] + tilt[1] * col, 0, 3)
+        along = math.cos(phi) * row + math.sin(phi) * col
+        across = -math.sin(phi) * row + math.cos(phi) * col
+        pressure: Any = shape(along, across)
+        # A blur of less than a tenth of a taxel changes nothing.
+        if edge >= 0.2:
+            pressure = ndimage.gaussian_filter(pressure, edge * 0.5)
+        pressures[t] = pressure * np.clip(1 + tilt[0] * row + tilt[1] * col, 0, 3)
     return np.maximum(pressures, 0)
-
-
-def _softened(image: Doubles, edge: float) -> Doubles:
-    blurred: Doubles = ndimage.gaussian_filter(image, edge * 0.5)
-    return blurred
 
 
 def shapes(rng: np.random.Generator) -> Shape:
     """Draw a shape: its pressure by coordinates along and across, in taxels, from its centre."""
     a, b = np.exp(rng.uniform(math.log(0.8), math.log(12.0), 2))
-    which = rng.integers(8)
-    if which == 0:
-        # A box, or a superellipse.
-        power = rng.choice([2.0, 4.0, 16.0])
-        return lambda x, y: _inside(
-            1 - (np.abs(x / a) ** power + np.abs(y / b) ** power), a, b
-        )
-    if which == 1:
-        # A frame.
-        wall = rng.uniform(0.6, 3.0)
+    return _KINDS[rng.integers(len(_KINDS))](rng, a, b)
 
-        def frame(x: Doubles, y: Doubles) -> Doubles:
-            outer = np.maximum(np.abs(x) - a - wall, np.abs(y) - b - wall)
-            return _step(-np.maximum(outer, -np.maximum(np.abs(x) - a, np.abs(y) - b)))
 
-        return frame
-    if which == 2:
-        # A fingertip, by Hertz.
-        return lambda x, y: np.sqrt(np.maximum(0, 1 - (x / a) ** 2 - (y / b) ** 2))
-    if which == 3:
-        # A soft pad.
-        return lambda x, y: np.exp(-((x / a) ** 2) - (y / b) ** 2)
-    if which == 4:
-        # A tool: a shaft with a head, or with two.
-        shaft = rng.uniform(0.6, 2.0)
-        head = rng.uniform(1.5, 5.0)
-        gap = rng.uniform(0, 0.8) * head
-        two = rng.random() < 0.5
+def _box(rng: np.random.Generator, a: float, b: float) -> Shape:
+    """A box, or a superellipse."""
+    power = rng.choice([2.0, 4.0, 16.0])
 
-        def tool(x: Doubles, y: Doubles) -> Doubles:
-            inside = np.maximum(np.abs(x) - a - b, np.abs(y) - shaft)
-            for side in (1.0, -1.0)[: 1 + two]:
-                r = np.hypot(x - side * (a + b), y)
-                inside = np.minimum(inside, np.maximum(r - head, gap - r))
-            return _step(-inside)
+    def box(x: Doubles, y: Doubles) -> Doubles:
+        return _inside(1 - (np.abs(x / a) ** power + np.abs(y / b) ** power), a, b)
 
-        return tool
-    if which == 5:
-        # A foot: heel, ball and toes.
-        toes = rng.uniform(-1, 1, 4)
+    return box
 
-        def foot(x: Doubles, y: Doubles) -> Doubles:
-            f = np.exp(-(((x + 9) / 4) ** 2) - (y / 3.4) ** 2)
-            f = f + rng_level * np.exp(-(((x - 5) / 3) ** 2) - (y / 4.5) ** 2)
-            f = f + bridge * np.exp(-((x / 8) ** 2) - ((y - 2) / 2) ** 2)
-            for k, level in enumerate(toes):
-                f = f + max(0.0, level) * np.exp(
-                    -((x - 11) ** 2 + (y - 3 * k + 4.5) ** 2) / 2
-                )
-            return f - 0.05
 
-        rng_level = rng.uniform(0.4, 1.4)
-        bridge = rng.uniform(0, 0.4)
-        return foot
-    if which == 6:
-        # A peg of a few taxels.
-        r = rng.uniform(0.5, 2.5)
-        return lambda x, y: _step(r - np.hypot(x, y))
-    # Ripples under a pad.
+def _frame(rng: np.random.Generator, a: float, b: float) -> Shape:
+    wall = rng.uniform(0.6, 3.0)
+
+    def frame(x: Doubles, y: Doubles) -> Doubles:
+        outer = np.maximum(np.abs(x) - a - wall, np.abs(y) - b - wall)
+        inner = np.maximum(np.abs(x) - a, np.abs(y) - b)
+        return _step(-np.maximum(outer, -inner))
+
+    return frame
+
+
+def _fingertip(rng: np.random.Generator, a: float, b: float) -> Shape:
+    """Pressure under an ellipsoid, by Hertz."""
+    return lambda x, y: np.sqrt(np.maximum(0, 1 - (x / a) ** 2 - (y / b) ** 2))
+
+
+def _pad(rng: np.random.Generator, a: float, b: float) -> Shape:
+    """A soft pad."""
+    return lambda x, y: np.exp(-((x / a) ** 2) - (y / b) ** 2)
+
+
+def _tool(rng: np.random.Generator, a: float, b: float) -> Shape:
+    """A shaft with a head, or with two."""
+    shaft = rng.uniform(0.6, 2.0)
+    head = rng.uniform(1.5, 5.0)
+    gap = rng.uniform(0, 0.8) * head
+    ends = (1.0, -1.0) if rng.random() < 0.5 else (1.0,)
+
+    def tool(x: Doubles, y: Doubles) -> Doubles:
+        inside = np.maximum(np.abs(x) - a - b, np.abs(y) - shaft)
+        for end in ends:
+            r = np.hypot(x - end * (a + b), y)
+            inside = np.minimum(inside, np.maximum(r - head, gap - r))
+        return _step(-inside)
+
+    return tool
+
+
+def _foot(rng: np.random.Generator, a: float, b: float) -> Shape:
+    """Heel, ball, the bridge between them, and toes; of one size."""
+    toes = rng.uniform(-1, 1, 4)
+    ball = rng.uniform(0.4, 1.4)
+    bridge = rng.uniform(0, 0.4)
+
+    def foot(x: Doubles, y: Doubles) -> Doubles:
+        f = np.exp(-(((x + 9) / 4) ** 2) - (y / 3.4) ** 2)
+        f = f + ball * np.exp(-(((x - 5) / 3) ** 2) - (y / 4.5) ** 2)
+        f = f + bridge * np.exp(-((x / 8) ** 2) - ((y - 2) / 2) ** 2)
+        for k, level in enumerate(toes):
+            squares = (x - 11) ** 2 + (y - 3 * k + 4.5) ** 2
+            f = f + max(0.0, level) * np.exp(-squares / 2)
+        return f - 0.05
+
+    return foot
+
+
+def _peg(rng: np.random.Generator, a: float, b: float) -> Shape:
+    """A peg of a few taxels."""
+    r = rng.uniform(0.5, 2.5)
+    return lambda x, y: _step(r - np.hypot(x, y))
+
+
+def _ripples(rng: np.random.Generator, a: float, b: float) -> Shape:
+    """Ripples under a pad."""
     wave = rng.uniform(2, 12)
     phase = rng.uniform(0, 2 * math.pi)
-    return lambda x, y: (
-        (0.6 + 0.4 * np.sin(2 * math.pi * x / wave + phase))
-        * np.exp(-((x / (2 * a)) ** 2) - (y / (2 * b)) ** 2)
-    )
+
+    def ripples(x: Doubles, y: Doubles) -> Doubles:
+        wavy = 0.6 + 0.4 * np.sin(2 * math.pi * x / wave + phase)
+        return wavy * np.exp(-((x / (2 * a)) ** 2) - (y / (2 * b)) ** 2)
+
+    return ripples
+
+
+_KINDS = (_box, _frame, _fingertip, _pad, _tool, _foot, _peg, _ripples)
 
 
 def _step(depth: Doubles) -> Doubles:
@@ -205,24 +218,20 @@ def smooth_field(rng: np.random.Generator) -> Doubles:
     drift = rng.normal(0, 1, 2) * rng.choice([0.0, 0.1, 0.5])
     noise: Any = rng.standard_normal((SIDE + 8, SIDE + 8))
     field = ndimage.gaussian_filter(noise, scale, mode="wrap")
-    fine = ndimage.gaussian_filter(
-        rng.standard_normal(field.shape), scale / 3, mode="wrap"
-    )
+    noise = rng.standard_normal(field.shape)
+    fine = ndimage.gaussian_filter(noise, scale / 3, mode="wrap")
     field = field / field.std() + rng.uniform(0, 0.5) * fine / fine.std()
-    change = ndimage.gaussian_filter(
-        rng.standard_normal(field.shape), scale, mode="wrap"
-    )
+    noise = rng.standard_normal(field.shape)
+    change = ndimage.gaussian_filter(noise, scale, mode="wrap")
     change *= rng.choice([0.0, 0.03, 0.2]) / change.std()
     level = rng.uniform(-1.0, 1.2)
-    shifted = [
-        ndimage.shift(field + t * change, t * drift, order=1, mode="nearest")[
-            4:-4, 4:-4
-        ]
-        for t in range(N_FRAMES)
-    ]
-    raised = np.maximum(0, np.array(shifted) + level)
-    return (
-        raised ** rng.choice([1.0, 1.0, 1.5, 2.0])
-        if rng.random() < 0.7
-        else np.exp(shifted)
-    )
+    shifted = np.empty((N_FRAMES, SIDE, SIDE))
+    for t in range(N_FRAMES):
+        moved = ndimage.shift(field + t * change, t * drift, order=1, mode="nearest")
+        # The margin of 4 taxels has moved in from beyond the edge.
+        shifted[t] = moved[4:-4, 4:-4]
+    raised = np.maximum(0, shifted + level)
+    if rng.random() < 0.7:
+        bent: Doubles = raised ** rng.choice([1.0, 1.0, 1.5, 2.0])
+        return bent
+    return np.exp(shifted)

@@ -28,20 +28,21 @@ def run(out: Path, quick: bool, seed: int, executor: str) -> list[str]:
             "study train: torch is not installed: pip install 'sparseskin[train]'"
         )
     n_presses, n_batches = (400, 1500) if quick else (24_000, 42_000)
-    # Needs torch.
+    # Imported here: without torch the line above is to be printed.
     from .network import BATCH, trained
 
     network, rows, scores = trained(n_presses, n_batches, seed)
-    content = BytesIO()
     halves: dict[str, Any] = {
         name: value.astype(np.float16) for name, value in network.items()
     }
-    np.savez(content, **halves)
+    file = BytesIO()
+    np.savez(file, **halves)
+    content = file.getvalue()
     try:
-        (out / FILE).write_bytes(content.getvalue())
+        (out / FILE).write_bytes(content)
     except OSError as error:
         raise StudyError(f"{out / FILE}: {error.strerror}") from error
-    fingerprint = hashlib.sha256(content.getvalue()).hexdigest()[:16]
+    fingerprint = hashlib.sha256(content).hexdigest()[:16]
     page = Page(out, "train", Path(__file__).with_suffix(".md"), quick)
     page.section("", _draw(out, pd.DataFrame(rows)), scores)
     page.csv("train", pd.DataFrame(rows))
