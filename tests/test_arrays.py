@@ -142,6 +142,28 @@ def test_psnr_of_frames_is_that_of_each():
     ) == pytest.approx(40)
 
 
+def test_a_plot_has_a_map_of_each_frame_on_one_scale():
+    matplotlib = pytest.importorskip("matplotlib")
+    matplotlib.use("Agg")
+    rng = np.random.default_rng()
+    k, n_rows, n_cols = rng.integers(1, (9, 12, 12))
+    frames = rng.random((k, n_rows, n_cols), np.float32)
+    mask = rng.random((n_rows, n_cols)) < 0.5
+    mask.flat[rng.integers(mask.size)] = True
+
+    titles = [f"frame {number}" for number in range(k)]
+    panels = sparseskin.plot_forces(frames, titles, "counts", mask)
+    assert [panel.get_title() for panel in panels] == titles
+    for panel, frame in zip(panels, frames, strict=True):
+        (image,) = panel.images
+        assert image.get_clim() == (0, frames[:, mask].max())
+        np.testing.assert_array_equal(image.get_array().mask, ~mask)
+        np.testing.assert_array_equal(image.get_array()[mask], frame[mask])
+    *_, bar = panels[0].figure.axes
+    assert bar.get_ylabel() == "force in counts"
+    matplotlib.pyplot.close(panels[0].figure)
+
+
 def test_a_bag_is_read_into_arrays(tmp_path):
     path = tmp_path / "run.mcap"
     bags.make_bag(path, bags.frames(5))
@@ -300,6 +322,18 @@ MISTAKES = {
     "stream: readings: entries are masked; allowed: an": lambda: sparseskin.Stream(
         (8, 8)
     ).compress(MASKED[0]),
+    "plot_forces: forces of shape (25, 8, 8); allowed: shape (n_rows, n_cols), or": lambda: (
+        sparseskin.plot_forces(np.ones((25, 8, 8), np.float32))
+    ),
+    "plot_forces: forces of shape (2, 8, 8); allowed": lambda: sparseskin.plot_forces(
+        X * np.nan
+    ),
+    "plot_forces: 1 titles; expected one for each of 2": lambda: sparseskin.plot_forces(
+        X, "two"
+    ),
+    "plot_forces: skin: the mask is float32 [8, 8]": lambda: sparseskin.plot_forces(
+        X, mask=X[0]
+    ),
     "make_phi: missing a required argument: 'n'; expected: make_phi(kind, n, m, s": lambda: (
         make_phi("sbhe")
     ),

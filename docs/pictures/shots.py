@@ -63,7 +63,8 @@ def shoot(page: Any, name: str) -> None:
 
     path = DOCS / f"page_{name}.png"
     with Image.open(io.BytesIO(page.get_screenshot_as_png())) as image:
-        paletted(image, 256).save(path, optimize=True)
+        # In full colour: 256 colours leave steps in the colour bars.
+        image.convert("RGB").save(path, optimize=True)
     print(f"{path.relative_to(DOCS.parent.parent)}", flush=True)
 
 

@@ -29,6 +29,7 @@ if TYPE_CHECKING:
         simulate,
     )
     from .checks import check_basis, check_phi, check_solver
+    from .plots import plot_forces
     from .recordings import read_recording
     from .stream import Stream
 
@@ -37,8 +38,8 @@ if TYPE_CHECKING:
 __all__ = [
     "NoiseModel", "SparseskinError", "Stream", "Subscription", "__version__", "check_basis",
     "check_phi", "check_solver", "compress", "find_contacts", "load_launch", "make_basis",
-    "make_phi", "make_solver", "psnr_db", "read_recording", "reconstruct", "run_launch",
-    "simulate", "subscribe",
+    "make_phi", "make_solver", "plot_forces", "psnr_db", "read_recording", "reconstruct",
+    "run_launch", "simulate", "subscribe",
 ]  # fmt: skip
 
 #: Module of each name, where it is not `arrays`.
@@ -50,6 +51,7 @@ _HOMES = {
     "check_solver": "sparseskin.checks",
     "find_contacts": "sparseskin.nodes.reconstructor.contacts",
     "NoiseModel": "sparseskin.nodes.sensor.noise",
+    "plot_forces": "sparseskin.plots",
     "SparseskinError": "sparseskin.nodes.errors",
     "Subscription": "sparseskin.launch.attach.subscription",
     "subscribe": "sparseskin.launch.attach.subscription",

@@ -24,7 +24,10 @@ def compiling(folder):
 def begun(folder):
     (folder / "graph.toml").write_text(SENSOR)
     environment = compiling(folder)
-    return Program("launch", "graph.toml", cwd=folder, environment=environment)
+    # The command itself: with the limits of tests, most modules are imported before it begins.
+    return Program(
+        "launch", "graph.toml", cwd=folder, limits=True, environment=environment
+    )
 
 
 def test_sigterm_at_a_random_time_of_the_start_always_ends_it(tmp_path, note):
