@@ -11,10 +11,10 @@ from scipy.stats import chi2, norm
 
 from sparseskin.messages import Contacts, Measurements, PhiState, Reconstruction, Taxels
 from sparseskin.nodes.clock import ManualClock
-from sparseskin.nodes.compressor.change import (
-    FALSE_SENDS,
-    ChangeWatch,
+from sparseskin.nodes.compressor.change import FALSE_SENDS, ChangeWatch
+from sparseskin.nodes.compressor.departures import (
     Squares,
+    Weights,
     energy_bound,
     variance_clipped,
 )
@@ -70,7 +70,7 @@ def test_squares_sum_all_taxels_at_every_level(n_rows, n_cols):
 @given(st.integers(1, 10_000), st.floats(2.0, 8.0))
 def test_bounds_lie_between_closed_forms(n, z):
     # One clipped reading exceeds z as often as a normal one; many are nearly normal.
-    assert CLIPPED < variance_clipped(n, z) < 1
+    assert CLIPPED < variance_clipped(Weights(n_own=n), 1, z) < 1
     quantile = chi2.isf(norm.sf(z), n)
     assert energy_bound(n, 0, z) > 0.99 * quantile
     assert energy_bound(0, n, z) > energy_bound(n, 0, z)

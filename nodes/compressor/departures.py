@@ -1,0 +1,481 @@
+"""Differences that noise does not explain, of readings or of measurements.
+
+A difference d = y - r of the measurements y = Phi x of a frame and of a reference r is noise while
+nothing changes: that of the readings x, of standard deviation sigma(f) under the force f, as of
+`NoiseModel`, where readings are clipped at 0. Two statistics have to stay within their bounds:
+
+- squares: sums of Phi' d over all squares of 1, 2, 4, 8 ... taxels a side, on a grid without
+  overlap, each over the norm that noise of unit variance gives it: matched filters for a square
+  that is pressed evenly. They are summed over the last 1, 2, 4, 8 ... frames, too;
+- energy: the sum of d^2 over its variance, for changes whose signs alternate.
+
+Readings themselves are measurements with Phi = identity. Phi is known by `forward` and `adjoint`
+alone: any matrix has these statistics.
+
+The bound of a sum of independent terms with the cumulant generating functions K is that of
+Chernoff, min over t > 0 of (sum K(t) + z^2 / 2) / t, with z the quantile of a normal distribution:
+for normal terms it is z standard deviations. Noise clipped at 0 is skewed: a normal distribution of
+its variance would miss the frequent large readings. Its K is stated in closed form below.
+
+Source: Chernoff, "A measure of asymptotic efficiency for tests of a hypothesis based on the sum of
+observations", Annals of Mathematical Statistics 23 (1952).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from statistics import NormalDist
+
+import numpy as np
+
+from sparseskin.messages import SkinState
+from sparseskin.nodes.compressor.phi.base import Phi, block_layout
+from sparseskin.nodes.numerics.arrays import (
+    TINY,
+    Doubles,
+    Floats,
+    Indices,
+    Mask,
+)
+from sparseskin.nodes.sensor.noise import CLIPPED, NoiseModel
+
+CLIPPED_MEAN = 1 / math.sqrt(2 * math.pi)
+"""Mean of max(0, z), z ~ N(0, 1). Derived."""
+MOST_WEIGHTS = 2**25
+"""Most weights of the squares of a level that are computed. Chosen: half a second. Beyond, as of
+single pairs of taxels on more than 90 x 90 of them, norms have an upper bound in their place."""
+AT_ONCE = 256
+"""Squares whose weights are computed at once. Chosen: 4 MB on 64 x 64 taxels."""
+_T = np.geomspace(0.01, 40.0, 500)
+"""Arguments of the cumulant generating functions; the least bound of them holds as any does."""
+_T_SQUARE = np.geomspace(1e-4, 0.4999, 500)
+"""The same of squares, whose functions end at 1/2."""
+
+
+def normal_cdf(t: Doubles) -> Doubles:
+    """Distribution function of a standard normal variable, float64 of any shape."""
+    values = [0.5 * math.erfc(-each / math.sqrt(2)) for each in t.reshape(-1).tolist()]
+    return np.array(values).reshape(t.shape)
+
+
+def cumulants_clipped(t: Doubles) -> Doubles:
+    """Cumulant generating function of max(0, z) - its mean, at t. Derived: its expectation of
+    exp(t max(0, z)) is 1/2 + exp(t^2 / 2) cdf(t).
+    """
+    positive = t**2 / 2 + np.log(normal_cdf(t))
+    values: Doubles = np.logaddexp(math.log(0.5), positive) - CLIPPED_MEAN * t
+    return values
+
+
+def _cumulants_of_square(clips: bool) -> Doubles:
+    """Cumulant generating function, at `_T_SQUARE`, of z^2, or of (max(0, z) - its mean)^2.
+
+    Derived: a Gaussian integral over z > 0, and half of the weight at z = 0.
+    """
+    shrunk = 1 - 2 * _T_SQUARE
+    of_normal: Doubles = -0.5 * np.log(shrunk)
+    if not clips:
+        return of_normal
+    at_zero = _T_SQUARE * CLIPPED_MEAN**2
+    shift = 2 * _T_SQUARE * CLIPPED_MEAN / np.sqrt(shrunk)
+    positive = at_zero + shift**2 / 2 + of_normal + np.log(normal_cdf(-shift))
+    return np.logaddexp(math.log(0.5) + at_zero, positive)
+
+
+def _clipped() -> tuple[Doubles, Doubles]:
+    """Mean and variance of max(0, f + z), z ~ N(0, 1), f in [0, 3]. Derived."""
+    force = np.linspace(0.0, 3.0, 31)
+    below = normal_cdf(force)
+    density = CLIPPED_MEAN * np.exp(-(force**2) / 2)
+    mean = force * below + density
+    return mean, (force**2 + 1) * below + force * density - mean**2
+
+
+_MEANS, _VARIANCES = _clipped()
+_K_SQUARE = _cumulants_of_square(clips=False)
+_K_SQUARE_CLIPPED = _cumulants_of_square(clips=True)
+
+
+@dataclass(frozen=True)
+class Weights:
+    """Weights of the taxels in a sum over a square, whose squares sum to 1.
+
+    `own`: part of that sum which the taxels of the square have; `n_own`: least number of equal
+    weights that has it, its sum of squares over the largest one; `n_other`: that of the others.
+    """
+
+    own: float = 1.0
+    n_own: float = 1.0
+    n_other: float = 1.0
+
+
+def variance_clipped(weights: Weights, n_frames: int, z: float) -> float:
+    """Variance, in that of the noise before clipping, with which a weighted sum of untouched
+    readings less its mean, over `n_frames`, exceeds z standard deviations at most as often as a
+    normal variable: 0.3408 for many equal weights.
+
+    The function K(t) / t^2 of clipped noise grows with t > 0, and is larger than that of -t: no
+    weights of one sum of squares have a larger sum of K than equal ones of the largest size.
+    """
+    total = np.zeros_like(_T)
+    parts = (weights.own, weights.n_own), (1 - weights.own, weights.n_other)
+    for part, n_weights in parts:
+        if part > 0:
+            n_terms = n_frames * n_weights
+            total += n_terms * cumulants_clipped(_T * math.sqrt(part / n_terms))
+    bound = float(((total + z * z / 2) / _T).min())
+    return bound * bound / (z * z)
+
+
+def energy_bound(n_touched: float, n_untouched: float, z: float) -> float:
+    """Bound of the sum of squares over the variances of `n_touched` readings with normal noise, and
+    `n_untouched` with clipped noise, exceeded as often as z by a standard normal variable. For
+    normal noise it is at least the quantile of a chi-square distribution, but for 1 %.
+    """
+    t = _T_SQUARE
+    # Of clipped noise the variance is 0.3408: its argument is larger by that.
+    scaled = CLIPPED * t
+    of_normal = -0.5 * np.log1p(-2 * scaled)
+    cumulants = n_touched * of_normal + n_untouched * _K_SQUARE_CLIPPED
+    if not n_untouched:
+        scaled = t
+        cumulants = n_touched * _K_SQUARE
+    return float(((cumulants + z * z / 2) / scaled).min())
+
+
+class Squares:
+    """Sums over the squares of 1, 2, 4 ... taxels a side of a grid, the smallest ones first.
+
+    `levels`: side of a square in taxels of each level; `spans`: its slice of the sums.
+    """
+
+    def __init__(self, shape: tuple[int, int]) -> None:
+        self.levels: list[int] = []
+        self.spans: list[slice] = []
+        self._shape = shape
+        self._shapes: list[tuple[int, int]] = []
+        rows, cols = shape
+        begin = 0
+        side = 1
+        while True:
+            self.levels.append(side)
+            self._shapes.append((rows, cols))
+            self.spans.append(slice(begin, begin + rows * cols))
+            begin += rows * cols
+            if rows == cols == 1:
+                break
+            rows = -(-rows // 2)
+            cols = -(-cols // 2)
+            side *= 2
+        self.n = begin
+
+    def sums(self, grids: Floats) -> Floats:
+        """Sums of grids: float32, shape (k, n_rows, n_cols) to (k, n)."""
+        k = len(grids)
+        sums = np.empty((k, self.n), dtype=np.float32)
+        level = grids
+        for span, shape in zip(self.spans, self._shapes, strict=True):
+            if span.start:
+                level = _pooled(level)
+            sums[:, span] = level.reshape(k, shape[0] * shape[1])
+        return sums
+
+    def of_cells(self, level: int) -> Indices:
+        """Number of the square of a level that each cell of the grid lies in, flat."""
+        rows, cols = np.divmod(np.arange(math.prod(self._shape)), self._shape[1])
+        side = self.levels[level]
+        numbers: Indices = rows // side * self._shapes[level][1] + cols // side
+        return numbers
+
+
+def _pooled(grids: Floats) -> Floats:
+    """Sums of two by two neighbours, (k, rows, cols) to half of them, rounded up."""
+    _, n_rows, n_cols = grids.shape
+    # A last row or column of an odd number has no neighbour.
+    if n_rows % 2 or n_cols % 2:
+        grids = np.pad(grids, ((0, 0), (0, n_rows % 2), (0, n_cols % 2)))
+    rows = grids[:, ::2] + grids[:, 1::2]
+    pooled: Floats = rows[:, :, ::2] + rows[:, :, 1::2]
+    return pooled
+
+
+@dataclass
+class Bounds:
+    """Bounds of the differences d of k patches, where only noise explains them.
+
+    `squares`: of the scores of single frames, and of the sums of 2, 4 ... of them over the root of
+    their number, (k, n_windows, n). `weights`: inverse variances of d, (k, n_rows, n_cols) of
+    readings, 0 where no taxel is, (k, 1) of measurements; `energy`: of the sum of d^2 in these,
+    (k,).
+    """
+
+    squares: Floats
+    weights: Floats
+    energy: Doubles
+
+
+class Departures:
+    """Scores of differences, and bounds that noise alone exceeds with a stated chance.
+
+    Parameters
+    ----------
+    skin : SkinState
+        Skin and noise; it states noise.
+    chance : float
+        Probability of an alarm a frame and patch where only noise explains the differences.
+    phis : sequence of Phi
+        One a row subset; none: differences are those of readings.
+    n_windows : int
+        Scores are those of 1, 2, 4 ... 2^(n_windows - 1) frames.
+    one_sided : bool
+        True if only positive scores are an alarm.
+
+    Raises SettingsError if the noise that the skin states is not valid.
+    """
+
+    def __init__(
+        self,
+        skin: SkinState,
+        chance: float,
+        phis: Sequence[Phi] = (),
+        *,
+        n_windows: int = 1,
+        one_sided: bool = False,
+    ) -> None:
+        self.squares = Squares((skin.n_rows, skin.n_cols))
+        self.one_sided = one_sided
+        self.n_windows = n_windows
+        self._exists = skin.skin.exists
+        self._cells = np.flatnonzero(self._exists)
+        self._clips = skin.clips_noise
+        self._end = skin.sigma_end
+        sigmas = skin.sigma_mid, skin.sigma_end
+        self._noise = NoiseModel(skin.f_max, *sigmas, clips=self._clips)
+        self._phis = phis
+
+        # Half of the false alarms each; windows of 2, 4 ... frames double those of one at most.
+        quantile = NormalDist().inv_cdf
+        n_sides = 1 if one_sided else 2
+        self._z = -quantile(chance / 2 / n_sides / min(n_windows, 2) / self.squares.n)
+        self._z_energy = -quantile(chance / 2)
+        self._count = self.squares.sums(self._exists[np.newaxis].astype(np.float32))[0]
+        # Weights are those of the first subset, to which the others are alike.
+        self._scales = [_inverse(self._norms(phi)) for phi in phis[1:]]
+        first, weights = self._of_readings()
+        if phis:
+            first, weights = self._of_measurements(phis[0])
+        self._scales.insert(0, _inverse(first))
+        self._own = np.array([each.own for each in weights], dtype=np.float32)
+        self._own = np.repeat(self._own, [s.stop - s.start for s in self.squares.spans])
+        self._excess = self._excess_of(weights)
+
+    def scores(self, differences: Floats, subset: int = 0) -> Floats:
+        """Scores of differences, float32 (k, n_rows, n_cols) of readings, (k, m) of measurements by
+        a row subset: (k, n), of the variance of a reading where that is the same for all.
+        """
+        grids = differences
+        if self._phis:
+            grids = self._back_projected(differences, self._phis[subset])
+        scores = self.squares.sums(grids)
+        scores *= self._scales[subset]
+        return scores
+
+    def energy(self, differences: Floats, bounds: Bounds) -> Doubles:
+        """Sums of the squares of differences over their variances, (k,)."""
+        k = len(differences)
+        weighted = differences * bounds.weights
+        products = weighted.reshape(k, -1) * differences.reshape(k, -1)
+        sums: Doubles = products.sum(axis=1, dtype=np.float64)
+        return sums
+
+    def bounds(self, reference: Floats) -> Bounds:
+        """Bounds of differences from mean readings or forces: float32 (k, n_rows, n_cols)."""
+        variances = np.square(self._noise.sigma(reference)) * self._exists
+        untouched = np.zeros(reference.shape, dtype=np.bool_)
+        if self._clips:
+            variances *= np.interp(reference / self._end, _MEANS, _VARIANCES).astype(
+                np.float32
+            )
+            untouched = self._exists & (reference < _MEANS[-1] * self._end)
+
+        of_score = self._of_scores(variances)
+        share = self._of_scores(untouched.astype(np.float32))
+        of_windows = of_score[:, np.newaxis] + np.float32(self._end**2) * (
+            self._excess * share[:, np.newaxis]
+        )
+        limits: Floats = np.float32(self._z) * np.sqrt(of_windows)
+        return Bounds(limits, *self._of_energy(variances, untouched))
+
+    def _of_scores(self, values: Floats) -> Floats:
+        """Means of the values of taxels, (k, n_rows, n_cols), by their parts of scores: (k, n)."""
+        local = self.squares.sums(values)
+        mean = local[:, -1:] / self._count[-1]
+        local /= np.maximum(self._count, 1)
+        mixed: Floats = mean + self._own * (local - mean)
+        return mixed
+
+    def _of_energy(self, variances: Floats, untouched: Mask) -> tuple[Floats, Doubles]:
+        """Weights and bounds of the energy, as in `Bounds`."""
+        n = self._cells.size
+        z = self._z_energy
+        n_untouched = np.count_nonzero(untouched, axis=(1, 2))
+        if not self._phis:
+            pairs = zip((n - n_untouched).tolist(), n_untouched.tolist(), strict=True)
+            energy = np.array([energy_bound(*pair, z) for pair in pairs])
+            weights = np.zeros_like(variances)
+            np.divide(1, variances, out=weights, where=variances > 0)
+            return weights, energy
+
+        # Differing variances are those of fewer, larger terms (Satterthwaite): the spread.
+        phi = self._phis[0]
+        mean = variances.sum(axis=(1, 2)) / n
+        spread = 1 + phi.m / n * (
+            np.square(variances).sum(axis=(1, 2)) / n / mean**2 - 1
+        )
+        terms = np.stack([1 - n_untouched / n, n_untouched / n]) * phi.m / spread
+        pairs = zip(*terms.tolist(), strict=True)
+        energy = spread * [energy_bound(*pair, z) for pair in pairs]
+        of_sum = np.float32(1 / phi.lipschitz) / mean
+        return of_sum[:, np.newaxis].astype(np.float32), energy
+
+    def _back_projected(self, measurements: Floats, phi: Phi) -> Floats:
+        """Phi' d on the grid: (k, m) to (k, n_rows, n_cols), 0 where no taxel is."""
+        taxels = phi.adjoint(np.ascontiguousarray(measurements))
+        shape = len(taxels), *self._exists.shape
+        if self._cells.size == self._exists.size:
+            return taxels.reshape(shape)
+        grids = np.zeros((len(taxels), self._exists.size), dtype=np.float32)
+        grids[:, self._cells] = taxels
+        return grids.reshape(shape)
+
+    def _of_readings(self) -> tuple[Doubles, list[Weights]]:
+        """Norms of the sums of readings, (n,), and weights of each level."""
+        n = self._cells.size
+        sizes = [min(side * side, n) for side in self.squares.levels]
+        return np.sqrt(self._count), [Weights(n_own=size) for size in sizes]
+
+    def _of_measurements(self, phi: Phi) -> tuple[Doubles, list[Weights]]:
+        """Norms of the sums over squares, (n,), and weights of each level: those that are the least
+        like those of many taxels.
+        """
+        norms = np.empty(self.squares.n)
+        weights = []
+        for level, span in enumerate(self.squares.spans):
+            n_squares = span.stop - span.start
+            if level and n_squares * self._exists.size > MOST_WEIGHTS:
+                norms[span] = phi.lipschitz * np.sqrt(self._count[span])
+                weights.append(Weights())
+                continue
+            # A row a square: its norm, and its own weights as of `Weights`.
+            facts = self._facts(phi, level, n_squares)
+            norms[span] = facts[:, 0]
+            seen = facts[facts[:, 1] > 0, 1:]
+            if not len(seen):
+                seen = np.ones((1, 3))
+            weights.append(Weights(seen[:, 0].max(), *seen[:, 1:].min(axis=0)))
+        return norms, weights
+
+    def _facts(self, phi: Phi, level: int, n_squares: int) -> Doubles:
+        """Norm and `Weights` of the squares of a level, float64 (n_squares, 4)."""
+        square = self.squares.of_cells(level)[self._cells]
+        facts = np.zeros((n_squares, 4))
+        layout = block_layout(phi)
+        if level or layout is None:
+            for begin in range(0, n_squares, AT_ONCE):
+                numbers = np.arange(begin, min(begin + AT_ONCE, n_squares))
+                facts[numbers] = _facts_of(phi, square == numbers[:, np.newaxis])
+            return facts
+
+        # The taxels of a block have the same weights in another order.
+        begins = np.cumsum(layout.sizes) - layout.sizes
+        taxels = layout.permutation[begins]
+        of_block = _facts_of(phi, np.arange(phi.n) == taxels[:, np.newaxis])
+        block = np.repeat(np.arange(len(layout.sizes)), layout.sizes)
+        facts[square[layout.permutation]] = of_block[block]
+        return facts
+
+    def _norms(self, phi: Phi) -> Doubles:
+        """Norms of the sums over squares by a further row subset, (n,)."""
+        return self._of_measurements(phi)[0]
+
+    def _excess_of(self, weights: Sequence[Weights]) -> Floats:
+        """Variance of an untouched taxel beyond 0.3408, (n_windows, n), in the mean of frames."""
+        excess = np.zeros((self.n_windows, self.squares.n), dtype=np.float32)
+        if not self._clips:
+            return excess
+        for window in range(self.n_windows):
+            for span, of_level in zip(self.squares.spans, weights, strict=True):
+                variance = variance_clipped(of_level, 2**window, self._z)
+                excess[window, span] = max(0.0, variance - CLIPPED)
+        return excess
+
+
+def _inverse(norms: Doubles) -> Floats:
+    """Inverses of norms, float32; 0 of what is not measured."""
+    is_seen = norms > 1e-6 * norms.max()
+    return np.divide(1, norms, out=np.zeros_like(norms), where=is_seen).astype(
+        np.float32
+    )
+
+
+def _facts_of(phi: Phi, squares: Mask) -> Doubles:
+    """Norm and `Weights` of sums over squares, bool (k, n): float64 (k, 4)."""
+    weights = phi.adjoint(phi.forward(squares.astype(np.float32)))
+    powers = np.square(weights, dtype=np.float64)
+    total = powers.sum(axis=1)
+    facts = [np.sqrt(total)]
+    for part in (powers * squares, powers * ~squares):
+        of_part = part.sum(axis=1)
+        if len(facts) == 1:
+            facts.append(of_part / np.maximum(total, TINY))
+        # Those of no weight are as good as infinitely many.
+        facts.append(of_part / np.maximum(part.max(axis=1), TINY))
+        facts[-1][of_part <= TINY] = np.inf
+    return np.stack(facts, axis=1)
+
+
+class Windows:
+    """Sums of the scores of k patches over the last 1, 2, 4 ... frames, on a grid without overlap.
+
+    Parameters
+    ----------
+    n_patches, n : int
+        Patches, and scores of each.
+    n_windows : int
+    """
+
+    def __init__(self, n_patches: int, n: int, n_windows: int) -> None:
+        self._n_windows = n_windows
+        self._n_frames = 0
+        #: First half of the window of twice as many frames.
+        self._halves = np.zeros((n_windows - 1, n_patches, n), dtype=np.float32)
+
+    def restart(self, patches: Mask | slice = slice(None)) -> None:
+        """Forget the scores of some patches."""
+        self._halves[:, patches] = 0.0
+
+    def alarms(
+        self, scores: Floats, limits: Floats, noise: Doubles, one_sided: bool = False
+    ) -> Mask:
+        """Add the scores of a frame, (k, n); return True for each patch of which a window that ends
+        with it exceeds its limits, as of `Bounds.squares`. `noise` is the variance of the reference
+        in that of a frame, (k,), the same in all frames.
+        """
+        self._n_frames += 1
+        total = scores
+        alarms = np.zeros(len(scores), dtype=np.bool_)
+        for window in range(self._n_windows):
+            n = 1 << window
+            widened = np.sqrt(n * (1 + n * noise)).astype(np.float32)
+            size = total if one_sided else np.abs(total)
+            exceeds = size > limits[:, window] * widened[:, np.newaxis]
+            alarms |= np.logical_or.reduce(exceeds, axis=1)
+            if window + 1 == self._n_windows:
+                break
+            if self._n_frames >> window & 1:
+                self._halves[window] = total
+                break
+            total = self._halves[window] + total
+        return alarms

@@ -1,0 +1,200 @@
+"""First touch of a patch, seen in its measurements before any solving.
+
+Untouched, the measurements of a row subset are Phi times the mean of untouched readings, and noise:
+both follow from the noise that the skin states. The statistic is that of `Departures`, for positive
+scores alone, in windows of 1, 2, 4 ... frames up to two cycles of the rows: a strong touch shows in
+one frame, a weak one in several. At most `FALSE_TOUCHES` a frame are false, if the noise is as
+stated.
+
+Where it is not, as of a skin with an offset, a touch without any contact lasts: the mean of later
+frames then takes the place of the stated one, until measurements fall below it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from sparseskin.messages import SkinState
+from sparseskin.nodes.compressor.departures import CLIPPED_MEAN, Departures, Windows
+from sparseskin.nodes.compressor.phi.base import Phi
+from sparseskin.nodes.numerics.arrays import Floats
+from sparseskin.nodes.sensor.noise import CLIPPED
+
+FALSE_TOUCHES = 1e-7
+"""False touches a frame and patch, untouched. Chosen: one in 10 million."""
+CYCLES = 2
+"""Cycles of the rows in the longest window, and after which a touch is over that no longer shows.
+Chosen: the noise of more is less than a fifth of the least threshold of a contact."""
+LEARNT = 8
+"""Frames of each row subset in a reference that takes the place of the stated one. Chosen."""
+ALONE = 16
+"""Longest windows after which a touch without a contact is none. Chosen."""
+
+
+class Touch(NamedTuple):
+    """What the measurements of a frame show.
+
+    `touched`: False if noise alone explains them; None: not known. `begins`: True in the first
+    frame of a touch; `is_new`: True in its first frames, of one window.
+    """
+
+    touched: bool | None = None
+    begins: bool = False
+    is_new: bool = False
+
+
+UNKNOWN = Touch()
+
+
+class TouchTest:
+    """What all patches of a node share: expected measurements of an untouched skin, and bounds.
+
+    Parameters
+    ----------
+    skin : SkinState
+        It states noise.
+    phis : sequence of Phi
+        One a row subset.
+
+    Attributes
+    ----------
+    span : int
+        Frames of the longest window.
+    """
+
+    def __init__(self, skin: SkinState, phis: Sequence[Phi]) -> None:
+        n_windows = 1 + (CYCLES * len(phis) - 1).bit_length()
+        self.span = 1 << (n_windows - 1)
+        self.n_windows = n_windows
+        self.subsets = {phi.fingerprint: k for k, phi in enumerate(phis)}
+        self.departures = Departures(
+            skin, FALSE_TOUCHES, phis, n_windows=n_windows, one_sided=True
+        )
+        variance = skin.sigma_end**2
+        mean = 0.0
+        if skin.clips_noise:
+            mean = CLIPPED_MEAN * skin.sigma_end
+            variance *= CLIPPED
+        readings = np.full(phis[0].n, mean, dtype=np.float32)
+        self.variance = variance
+        self.expected = np.stack([phi.forward(readings) for phi in phis])
+        untouched = np.zeros((1, skin.n_rows, skin.n_cols), dtype=np.float32)
+        self.bounds = self.departures.bounds(untouched)
+
+    def windows(self) -> Windows:
+        """Windows of the scores of one patch."""
+        return Windows(1, self.departures.squares.n, self.n_windows)
+
+
+class TouchWatch:
+    """Finds the touches of one patch.
+
+    Attributes
+    ----------
+    touch : Touch
+        That of the frame that was read last.
+    """
+
+    def __init__(self, test: TouchTest) -> None:
+        self.test = test
+        self.touch = UNKNOWN
+        self._windows = test.windows()
+        self._in_contact = False
+        #: Frames since the last alarm, and since the touch began.
+        self._n_calm = 0
+        self._n_touched = 0
+        self._use_stated()
+
+    def _use_stated(self) -> None:
+        """Compare with the stated mean of untouched readings from now on."""
+        self._reference = self.test.expected
+        #: Variance of the reference in that of a frame, in all frames together.
+        self._noise = np.zeros(1)
+        self._below: Windows | None = None
+        self._n_learnt: list[int] = []
+
+    def read(self, phi: Phi, y: Floats | None, step: float) -> None:
+        """Look at the measurements of a frame, float32 (m,); None: they hold nothing of the skin.
+        `step` is that of quantised ones, in their unit, 0 of others.
+        """
+        subset = self.test.subsets.get(phi.fingerprint)
+        # A contact is a touch, whatever else is measured.
+        if self._in_contact:
+            self.touch = Touch(touched=True)
+            return
+        # Errors of rounding are like noise while the noise fills a step.
+        if y is None or subset is None or step**2 > self.test.variance:
+            self.touch = UNKNOWN
+            return
+        if self._n_learnt:
+            self._learn(subset, y)
+            self.touch = UNKNOWN
+            return
+
+        is_touch = self._alarm(subset, y, step)
+        was_touched = bool(self.touch.touched)
+        self._n_calm = 0 if is_touch else self._n_calm + 1
+        self._n_touched = self._n_touched + 1 if was_touched else 0
+        if self._n_touched >= ALONE * self.test.span:
+            self._restart()
+            return
+        touched = is_touch or (was_touched and self._n_calm < self.test.span)
+        self.touch = Touch(
+            # That of a reference which was learnt excludes no contact.
+            touched=touched or (None if self._below else False),
+            begins=touched and not was_touched,
+            is_new=touched and self._n_touched < self.test.span,
+        )
+
+    def skip(self) -> None:
+        """Let a frame pass whose measurements were not sent or have not changed."""
+        self.touch = self.touch._replace(begins=False)
+
+    def follow(self, in_contact: bool) -> None:
+        """Note if the patch is in contact after the frame that was read last."""
+        if self._in_contact and not in_contact:
+            self._windows.restart()
+            self._n_calm = 0
+            self._n_touched = 0
+        self._in_contact = in_contact
+
+    def _alarm(self, subset: int, y: Floats, step: float) -> bool:
+        """True if noise does not explain the measurements of a frame."""
+        test = self.test
+        departures = test.departures
+        difference = (y - self._reference[subset])[np.newaxis]
+        # The error of rounding is nearly uniform.
+        noise = test.variance / (test.variance + step**2 / 12)
+        scores = departures.scores(difference, subset)
+        scores *= np.float32(np.sqrt(noise))
+        limits = test.bounds.squares
+        if self._below is not None:
+            below = self._below.alarms(-scores, limits, self._noise, one_sided=True)
+            if below[0]:
+                self._windows.restart()
+                self._use_stated()
+                return False
+        alarms = self._windows.alarms(scores, limits, self._noise, one_sided=True)
+        energy = noise * departures.energy(difference, test.bounds)
+        alarms |= energy > test.bounds.energy * (1 + self._noise * len(test.subsets))
+        return bool(alarms[0])
+
+    def _restart(self) -> None:
+        """Learn a reference from the frames that follow."""
+        self._n_learnt = [0] * len(self.test.subsets)
+        self._reference = np.zeros_like(self.test.expected)
+        self._windows.restart()
+        self.touch = UNKNOWN
+
+    def _learn(self, subset: int, y: Floats) -> None:
+        """Add a frame to the reference."""
+        n = self._n_learnt[subset] + 1
+        self._n_learnt[subset] = n
+        self._reference[subset] += (y - self._reference[subset]) / n
+        if min(self._n_learnt) >= LEARNT:
+            self._n_learnt = []
+            self._noise = np.full(1, 1 / LEARNT / len(self.test.subsets))
+            self._below = self.test.windows()
