@@ -11,8 +11,8 @@ from .errors import ShapeError
 from .fields import Array, Integer, omitted, wire
 from .frames import TRUSTED, Floats, Frames
 
-BEGIN, END, OVER, SLIDE = range(4)
-EVENTS = ("begin", "end", "over", "slide")
+BEGIN, END, OVER, SLIDE, TOUCH = range(5)
+EVENTS = ("begin", "end", "over", "slide", "touch")
 """Names of the events, by number."""
 
 Numbers = npt.NDArray[np.int32]
@@ -69,7 +69,8 @@ class Contacts(Frames):
     """Row in `patches` of each contact's patch; None: all are of the first."""
     events: Numbers | None = _column("<i4", 2, optional=True)
     """What changed in this frame, (n_events, 3): row of the patch in `patches`, id, and number in
-    `EVENTS`: begin; end; over (the total exceeds a stated force); slide. None: nothing."""
+    `EVENTS`: begin; end; over (the total exceeds a stated force); slide; touch (measurements show
+    that an untouched patch is touched: of no contact, id 0). None: nothing."""
 
     def validate(self) -> None:
         super().validate()
@@ -122,7 +123,7 @@ class Contacts(Frames):
 
     @property
     def named_events(self) -> list[tuple[int, str]]:
-        """Id and name of each event."""
+        """Id and name of each event; id 0 of a touch."""
         if self.events is None:
             return []
         return [(number, EVENTS[event]) for _, number, event in self.events.tolist()]

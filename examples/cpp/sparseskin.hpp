@@ -81,7 +81,7 @@ struct Contact {
     float area_mm2 = NAN;
 };
 
-enum class EventKind { begin, end, over, slide };
+enum class EventKind { begin, end, over, slide, touch };
 
 // What changed in a frame.
 struct Event {
@@ -511,7 +511,7 @@ inline void convert(const Frame& frame, Contacts& found) {
         event.patch = static_cast<std::size_t>(events->at<std::int32_t>(k));
         event.id = events->at<std::int32_t>(k + 1);
         const std::int32_t kind = events->at<std::int32_t>(k + 2);
-        if (event.patch >= found.patches.size() || kind < 0 || kind > 3) throw Error("bad event");
+        if (event.patch >= found.patches.size() || kind < 0 || kind > 4) throw Error("bad event");
         event.kind = static_cast<EventKind>(kind);
         found.events.push_back(event);
     }

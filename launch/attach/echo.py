@@ -149,7 +149,8 @@ def _contact_lines(message: Contacts, unit: str) -> dict[str, Any]:
             label += f" of {message.names[message.patch_of[k]]}"
         lines[label] = _contact_line(message, k, unit)
     for number, event in message.named_events:
-        lines[f"event of {number}"] = event
+        # A touch is of no contact yet.
+        lines[f"event of {number}" if number else "event"] = event
     return lines
 
 

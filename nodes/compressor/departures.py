@@ -148,26 +148,26 @@ def energy_bound(n_touched: float, n_untouched: float, z: float) -> float:
 class Squares:
     """Sums over the squares of 1, 2, 4 ... taxels a side of a grid, the smallest ones first.
 
-    `levels`: side of a square in taxels of each level; `spans`: its slice of the sums.
+    `most`: largest number of squares of a side; smaller squares are left out. `levels`: side of a
+    square in taxels of each level; `spans`: its slice of the sums.
     """
 
-    def __init__(self, shape: tuple[int, int]) -> None:
+    def __init__(self, shape: tuple[int, int], most: int | None = None) -> None:
         self.levels: list[int] = []
         self.spans: list[slice] = []
         self._shape = shape
         self._shapes: list[tuple[int, int]] = []
-        rows, cols = shape
         begin = 0
         side = 1
         while True:
-            self.levels.append(side)
-            self._shapes.append((rows, cols))
-            self.spans.append(slice(begin, begin + rows * cols))
-            begin += rows * cols
+            rows, cols = (-(-n_cells // side) for n_cells in shape)
+            if most is None or rows * cols <= most:
+                self.levels.append(side)
+                self._shapes.append((rows, cols))
+                self.spans.append(slice(begin, begin + rows * cols))
+                begin += rows * cols
             if rows == cols == 1:
                 break
-            rows = -(-rows // 2)
-            cols = -(-cols // 2)
             side *= 2
         self.n = begin
 
@@ -176,9 +176,12 @@ class Squares:
         k = len(grids)
         sums = np.empty((k, self.n), dtype=np.float32)
         level = grids
-        for span, shape in zip(self.spans, self._shapes, strict=True):
-            if span.start:
+        side = 1
+        levels = zip(self.levels, self.spans, self._shapes, strict=True)
+        for of_level, span, shape in levels:
+            while side < of_level:
                 level = _pooled(level)
+                side *= 2
             sums[:, span] = level.reshape(k, shape[0] * shape[1])
         return sums
 
@@ -231,6 +234,8 @@ class Departures:
         Scores are those of 1, 2, 4 ... 2^(n_windows - 1) frames.
     one_sided : bool
         True if only positive scores are an alarm.
+    most : int, optional
+        Largest number of squares of a side, as of `Squares`: a few take one matrix product.
 
     Raises SettingsError if the noise that the skin states is not valid.
     """
@@ -243,8 +248,9 @@ class Departures:
         *,
         n_windows: int = 1,
         one_sided: bool = False,
+        most: int | None = None,
     ) -> None:
-        self.squares = Squares((skin.n_rows, skin.n_cols))
+        self.squares = Squares((skin.n_rows, skin.n_cols), most)
         self.one_sided = one_sided
         self.n_windows = n_windows
         self._exists = skin.skin.exists
@@ -267,6 +273,12 @@ class Departures:
         if phis:
             first, weights = self._of_measurements(phis[0])
         self._scales.insert(0, _inverse(first))
+        self._products: list[Floats] = []
+        if most is not None:
+            self._products = [
+                self._product(phi, scale)
+                for phi, scale in zip(phis, self._scales, strict=True)
+            ]
         self._own = np.array([each.own for each in weights], dtype=np.float32)
         self._own = np.repeat(self._own, [s.stop - s.start for s in self.squares.spans])
         self._excess = self._excess_of(weights)
@@ -275,6 +287,8 @@ class Departures:
         """Scores of differences, float32 (k, n_rows, n_cols) of readings, (k, m) of measurements by
         a row subset: (k, n), of the variance of a reading where that is the same for all.
         """
+        if self._products:
+            return differences @ self._products[subset]
         grids = differences
         if self._phis:
             grids = self._back_projected(differences, self._phis[subset])
@@ -350,6 +364,16 @@ class Departures:
         grids[:, self._cells] = taxels
         return grids.reshape(shape)
 
+    def _product(self, phi: Phi, scale: Floats) -> Floats:
+        """Matrix (m, n) by which measurements have their scores."""
+        rows = []
+        for level, span in enumerate(self.squares.spans):
+            numbers = np.arange(span.stop - span.start)[:, np.newaxis]
+            squares = self.squares.of_cells(level)[self._cells] == numbers
+            rows.append(phi.forward(squares.astype(np.float32)))
+        product: Floats = (np.concatenate(rows) * scale[:, np.newaxis]).T
+        return np.ascontiguousarray(product)
+
     def _of_readings(self) -> tuple[Doubles, list[Weights]]:
         """Norms of the sums of readings, (n,), and weights of each level."""
         n = self._cells.size
@@ -364,7 +388,8 @@ class Departures:
         weights = []
         for level, span in enumerate(self.squares.spans):
             n_squares = span.stop - span.start
-            if level and n_squares * self._exists.size > MOST_WEIGHTS:
+            is_single = self.squares.levels[level] == 1
+            if not is_single and n_squares * self._exists.size > MOST_WEIGHTS:
                 norms[span] = phi.lipschitz * np.sqrt(self._count[span])
                 weights.append(Weights())
                 continue
@@ -382,7 +407,7 @@ class Departures:
         square = self.squares.of_cells(level)[self._cells]
         facts = np.zeros((n_squares, 4))
         layout = block_layout(phi)
-        if level or layout is None:
+        if self.squares.levels[level] > 1 or layout is None:
             for begin in range(0, n_squares, AT_ONCE):
                 numbers = np.arange(begin, min(begin + AT_ONCE, n_squares))
                 facts[numbers] = _facts_of(phi, square == numbers[:, np.newaxis])
@@ -444,10 +469,13 @@ class Windows:
     n_patches, n : int
         Patches, and scores of each.
     n_windows : int
+    cycle : int
+        Number of row subsets, each of which has a reference of its own.
     """
 
-    def __init__(self, n_patches: int, n: int, n_windows: int) -> None:
+    def __init__(self, n_patches: int, n: int, n_windows: int, cycle: int = 1) -> None:
         self._n_windows = n_windows
+        self._cycle = cycle
         self._n_frames = 0
         #: First half of the window of twice as many frames.
         self._halves = np.zeros((n_windows - 1, n_patches, n), dtype=np.float32)
@@ -460,15 +488,16 @@ class Windows:
         self, scores: Floats, limits: Floats, noise: Doubles, one_sided: bool = False
     ) -> Mask:
         """Add the scores of a frame, (k, n); return True for each patch of which a window that ends
-        with it exceeds its limits, as of `Bounds.squares`. `noise` is the variance of the reference
-        in that of a frame, (k,), the same in all frames.
+        with it exceeds its limits, as of `Bounds.squares`. `noise` is the variance of a reference,
+        in that of a frame, (k,): its error is the same in all frames of a row subset.
         """
         self._n_frames += 1
         total = scores
         alarms = np.zeros(len(scores), dtype=np.bool_)
         for window in range(self._n_windows):
             n = 1 << window
-            widened = np.sqrt(n * (1 + n * noise)).astype(np.float32)
+            n_alike = max(1.0, n / self._cycle)
+            widened = np.sqrt(n * (1 + n_alike * noise)).astype(np.float32)
             size = total if one_sided else np.abs(total)
             exceeds = size > limits[:, window] * widened[:, np.newaxis]
             alarms |= np.logical_or.reduce(exceeds, axis=1)

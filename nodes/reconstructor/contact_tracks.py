@@ -12,11 +12,12 @@ import numpy.typing as npt
 from scipy.optimize import linear_sum_assignment
 
 from sparseskin.messages import SkinState
-from sparseskin.messages.contacts import BEGIN, END, OVER, SLIDE
+from sparseskin.messages.contacts import BEGIN, END, OVER, SLIDE, TOUCH
 from sparseskin.messages.skin import CONTACT_FRACTION
 from sparseskin.nodes.numerics.arrays import Doubles, Floats, Indices
 
 from .contacts import HELD, ContactFinder, Found, Limits
+from .first_touch import UNKNOWN, Touch
 
 GATE = 4.0
 """Largest distance, in taxels, of a contact from the place of an earlier one that it does not
@@ -111,6 +112,11 @@ class ContactTracker:
         """Number of the contact of each cell in the last frame, from 1 on, flat; 0: none."""
         return self._finder.regions
 
+    @property
+    def in_contact(self) -> bool:
+        """True if there is a contact in the last frame."""
+        return bool(self._tracks.ids)
+
     def fits(self, skin: SkinState) -> bool:
         """True if it follows contacts on the taxels of that skin."""
         theirs = vars(skin.skin)
@@ -136,19 +142,45 @@ class ContactTracker:
         stamp_ns: int,
         sd: Floats | None = None,
         common: float = 0.0,
+        touch: Touch = UNKNOWN,
     ) -> Followed | None:
         """Find the contacts of the next frame; None: there are none, and nothing has ended.
 
+        On an untouched patch none begins; in the first frames of a touch each begins at once.
+
         `forces`: float32 (n_rows, n_cols), 0 in masked cells; `error`: RMS error over all taxels as
         the solver estimates it; `sd`: standard deviation of each force, where known; `common`:
-        relative error that all forces share.
+        relative error that all forces share; `touch`: what the measurements of the frame show.
         """
+        followed = self._follow(forces, error, stamp_ns, sd, common, touch)
+        if not touch.begins:
+            return followed
+        # It is of the patch, and has no id.
+        if followed is None:
+            followed = Followed(NOTHING, [])
+        followed.events.insert(0, (0, TOUCH))
+        return followed
+
+    def _follow(
+        self,
+        forces: Floats,
+        error: float | None,
+        stamp_ns: int,
+        sd: Floats | None,
+        common: float,
+        touch: Touch,
+    ) -> Followed | None:
+        """As `update`, without the event of the touch."""
         elapsed_s = 1e-9 * (stamp_ns - self._last_ns)
         self._last_ns = stamp_ns
         limits = self.limits
         if self._n_early:
             self._n_early -= 1
             limits = replace(limits, high=math.inf)
+        elif touch.touched is False:
+            limits = replace(limits, high=math.inf)
+        elif touch.is_new and not self.in_contact:
+            self._finder.expect()
         regions = self._finder.find(
             forces,
             self._floor if error is None else error,

@@ -86,7 +86,8 @@ class TouchTest:
 
     def windows(self) -> Windows:
         """Windows of the scores of one patch."""
-        return Windows(1, self.departures.squares.n, self.n_windows)
+        n = self.departures.squares.n
+        return Windows(1, n, self.n_windows, len(self.subsets))
 
 
 class TouchWatch:
@@ -103,6 +104,7 @@ class TouchWatch:
         self.touch = UNKNOWN
         self._windows = test.windows()
         self._in_contact = False
+        self._touched = False
         #: Frames since the last alarm, and since the touch began.
         self._n_calm = 0
         self._n_touched = 0
@@ -111,7 +113,7 @@ class TouchWatch:
     def _use_stated(self) -> None:
         """Compare with the stated mean of untouched readings from now on."""
         self._reference = self.test.expected
-        #: Variance of the reference in that of a frame, in all frames together.
+        #: Variance of the reference in that of a frame.
         self._noise = np.zeros(1)
         self._below: Windows | None = None
         self._n_learnt: list[int] = []
@@ -123,6 +125,7 @@ class TouchWatch:
         subset = self.test.subsets.get(phi.fingerprint)
         # A contact is a touch, whatever else is measured.
         if self._in_contact:
+            self._touched = True
             self.touch = Touch(touched=True)
             return
         # Errors of rounding are like noise while the noise fills a step.
@@ -135,16 +138,18 @@ class TouchWatch:
             return
 
         is_touch = self._alarm(subset, y, step)
-        was_touched = bool(self.touch.touched)
+        was_touched = self._touched
         self._n_calm = 0 if is_touch else self._n_calm + 1
         self._n_touched = self._n_touched + 1 if was_touched else 0
         if self._n_touched >= ALONE * self.test.span:
             self._restart()
             return
         touched = is_touch or (was_touched and self._n_calm < self.test.span)
+        self._touched = touched
+        # That of a reference which was learnt excludes no contact.
+        is_sure = touched or self._below is None
         self.touch = Touch(
-            # That of a reference which was learnt excludes no contact.
-            touched=touched or (None if self._below else False),
+            touched=touched if is_sure else None,
             begins=touched and not was_touched,
             is_new=touched and self._n_touched < self.test.span,
         )
@@ -179,7 +184,7 @@ class TouchWatch:
                 return False
         alarms = self._windows.alarms(scores, limits, self._noise, one_sided=True)
         energy = noise * departures.energy(difference, test.bounds)
-        alarms |= energy > test.bounds.energy * (1 + self._noise * len(test.subsets))
+        alarms |= energy > test.bounds.energy * (1 + self._noise)
         return bool(alarms[0])
 
     def _restart(self) -> None:
@@ -187,6 +192,7 @@ class TouchWatch:
         self._n_learnt = [0] * len(self.test.subsets)
         self._reference = np.zeros_like(self.test.expected)
         self._windows.restart()
+        self._touched = False
         self.touch = UNKNOWN
 
     def _learn(self, subset: int, y: Floats) -> None:
@@ -196,5 +202,5 @@ class TouchWatch:
         self._reference[subset] += (y - self._reference[subset]) / n
         if min(self._n_learnt) >= LEARNT:
             self._n_learnt = []
-            self._noise = np.full(1, 1 / LEARNT / len(self.test.subsets))
+            self._noise = np.full(1, 1 / LEARNT)
             self._below = self.test.windows()

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from sparseskin.messages import PhiState, Reason, SkinState
+from sparseskin.messages.quantised import step_of
 from sparseskin.messages.reasons import first_reason
 from sparseskin.nodes.compressor.phi.base import Phi, phi_fact
 from sparseskin.nodes.numerics.arrays import Floats, Mask, of_nine
@@ -40,6 +41,7 @@ from .settings import PRESETS, ReconstructorSettings
 
 if TYPE_CHECKING:
     from .contact_tracks import ContactTracker, Followed
+    from .first_touch import TouchWatch
 
 
 USUAL_PART = 0.25
@@ -90,6 +92,7 @@ class Patch:
         self._warm: Floats | None = None
         self._uncertainty: Uncertainty | None = None
         self._tracker: ContactTracker | None = None
+        self._touch: TouchWatch | None = None
 
     def set_up(
         self,
@@ -174,6 +177,7 @@ class Patch:
             self._tracker = ContactTracker(state, settings.fast)
         if self._tracker is not None:
             self._tracker.settle(len(subsets))
+            self._watch_touches(state, alike)
         self.set_limits(settings)
         # Another Phi or solver in the middle of a stream starts from the last estimate.
         if self._last is not None and self._last.shape != skin.shape:
@@ -202,6 +206,17 @@ class Patch:
             self.log,
             watch_rows=settings.watch_rows,
         )
+
+    def _watch_touches(self, skin: SkinState, alike: Patch | None) -> None:
+        """Watch the measurements of a skin for touches from now on, if it states its noise."""
+        self._touch = None
+        if not skin.sigma_end or phi_fact(self._subsets[0], "choice"):
+            return
+        from .first_touch import TouchTest, TouchWatch
+
+        shared = alike and alike._touch
+        test = shared.test if shared else TouchTest(skin, self._subsets)
+        self._touch = TouchWatch(test)
 
     def set_noise(self, skin: SkinState) -> None:
         """Hand the noise that the skin states to the solver."""
@@ -234,6 +249,9 @@ class Patch:
         self._phi = phi
         self._believed = self.faults.receive(self.solver, phi, y)
         self._y = y if self._believed is None else self._believed
+        if self._touch is not None:
+            is_whole = self._missing is None and not self.sensed
+            self._touch.read(phi, self._believed if is_whole else None, step_of(y))
 
     def solve(self) -> None:
         """Reconstruct the frame within its budget. Raises SolverError if the solver cannot."""
@@ -296,15 +314,21 @@ class Patch:
 
     def keep(self, phi: Phi, y: Floats) -> None:
         """Take the last frame for measurements, float32 (m,), that are not solved."""
-        assert self.solved is not None
-        reason = self.faults.glance(phi, y) or self._reason(self._found)
-        self.solved = self.solved._replace(iterations=0, solve_ns=0, reason=reason)
+        # Of a frame that held nothing of the skin no more is known than of this one.
+        found = "" if self._believed is None else self._found
+        reason = self.faults.glance(phi, y) or self._reason(found)
+        self._repeat(reason)
 
     def rest(self) -> None:
         """Take the last frame for one whose measurements were not sent, as nothing changed."""
+        self._repeat(self._reason(self._found))
+
+    def _repeat(self, reason: str) -> None:
+        """Take the last frame again, which is not to be trusted for a reason; "" if it is."""
         assert self.solved is not None
-        reason = self._reason(self._found)
         self.solved = self.solved._replace(iterations=0, solve_ns=0, reason=reason)
+        if self._touch is not None:
+            self._touch.skip()
 
     def pass_silence(self, until_ns: int) -> None:
         """Let the time until a stamp pass in which nothing was sent, as nothing changed."""
@@ -317,7 +341,11 @@ class Patch:
             return None
         solved = self.solved
         errors = solved.error, stamp_ns, solved.sd, solved.common_error
-        return self._tracker.update(solved.forces, *errors)
+        if self._touch is None:
+            return self._tracker.update(solved.forces, *errors)
+        contacts = self._tracker.update(solved.forces, *errors, self._touch.touch)
+        self._touch.follow(self._tracker.in_contact)
+        return contacts
 
 
 def _noise_model(skin: SkinState) -> NoiseModel | None:

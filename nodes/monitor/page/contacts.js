@@ -9,7 +9,7 @@ const LINGER_S = 3; // an ended contact stays in the list for this long
 const ROWS = 5, MOST = 16; // of the list, at first and when many contacts come and go
 
 export const EVENTS = { begin: ["▲", "good"], end: ["▼", "dim"], over: ["◆", "bad"],
-  slide: ["▶", "noisy"] };
+  slide: ["▶", "noisy"], touch: ["●", "noisy"] };
 
 // Number and total of the contacts of a record of maps; "" if there are none.
 export function summary({ n, sum } = {}, unit) {
