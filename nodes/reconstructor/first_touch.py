@@ -176,13 +176,15 @@ class TouchWatch:
         scores = departures.scores(difference, subset)
         scores *= np.float32(np.sqrt(noise))
         limits = test.bounds.squares
+        alarms = self._windows.alarms(scores, limits, self._noise, one_sided=True)
         if self._below is not None:
             below = self._below.alarms(-scores, limits, self._noise, one_sided=True)
-            if below[0]:
+            # A change of one sign has smaller scores of the other one elsewhere.
+            falls = not alarms[0] or -scores.min() > scores.max()
+            if below[0] and falls:
                 self._windows.restart()
                 self._use_stated()
                 return False
-        alarms = self._windows.alarms(scores, limits, self._noise, one_sided=True)
         energy = noise * departures.energy(difference, test.bounds)
         alarms |= energy > test.bounds.energy * (1 + self._noise)
         return bool(alarms[0])
