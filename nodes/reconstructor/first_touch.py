@@ -58,6 +58,8 @@ class TouchTest:
         It states noise.
     phis : sequence of Phi
         One a row subset.
+    false_touches : float, optional
+        Probability of a false touch a frame, untouched; by default `FALSE_TOUCHES`.
 
     Attributes
     ----------
@@ -65,13 +67,22 @@ class TouchTest:
         Frames of the longest window.
     """
 
-    def __init__(self, skin: SkinState, phis: Sequence[Phi]) -> None:
+    def __init__(
+        self,
+        skin: SkinState,
+        phis: Sequence[Phi],
+        false_touches: float | None = None,
+    ) -> None:
         n_windows = 1 + (CYCLES * len(phis) - 1).bit_length()
         self.span = 1 << (n_windows - 1)
         self.n_windows = n_windows
         self.subsets = {phi.fingerprint: k for k, phi in enumerate(phis)}
         self.departures = Departures(
-            skin, FALSE_TOUCHES, phis, n_windows=n_windows, one_sided=True
+            skin,
+            false_touches or FALSE_TOUCHES,
+            phis,
+            n_windows=n_windows,
+            one_sided=True,
         )
         variance = skin.sigma_end**2
         mean = 0.0
@@ -84,10 +95,10 @@ class TouchTest:
         untouched = np.zeros((1, skin.n_rows, skin.n_cols), dtype=np.float32)
         self.bounds = self.departures.bounds(untouched)
 
-    def windows(self) -> Windows:
-        """Windows of the scores of one patch."""
+    def windows(self, n_patches: int = 1) -> Windows:
+        """Windows of the scores of some patches."""
         n = self.departures.squares.n
-        return Windows(1, n, self.n_windows, len(self.subsets))
+        return Windows(n_patches, n, self.n_windows, len(self.subsets))
 
 
 class TouchWatch:

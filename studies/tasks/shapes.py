@@ -122,6 +122,17 @@ def draw(count: int, seed: int) -> Presses:
     return Presses(frames, labels, angles, places)
 
 
+def draw_forces(count: int, rng: np.random.Generator) -> Floats:
+    """True forces of drawn presses, float32 (count, SIDE, SIDE), the largest of each 1 N."""
+    forces = np.empty((count, SIDE, SIDE), dtype=np.float32)
+    for k in range(count):
+        place = (SIDE - 1) / 2 + rng.uniform(-REACH, REACH, 2)
+        angle = rng.uniform(0, 2 * math.pi)
+        forces[k] = _forces(SHAPES[NAMES[k % len(NAMES)]], angle, place, rng)
+        forces[k] /= forces[k].max()
+    return forces
+
+
 def _forces(
     shape: Shape, angle: float, place: Doubles, rng: np.random.Generator
 ) -> Floats:

@@ -21,6 +21,7 @@ from sparseskin.studies.report import PALETTE, Chart, Page, markdown, series_sty
 from .classifier import SEARCHED, Classifier, check_installed
 from .sets import LabelledFrames, read_set
 from .shapes import NAMES, PEAKS_N, SHAPES, SIDE, Presses, draw
+from .touch import add as add_first_touch
 from .ways import ALL, FORCES, LARGER, SINGLE, SUMS, WAYS, n_bytes
 
 RATIOS = (3, 8, 16, 32, 64)
@@ -78,7 +79,7 @@ def run(
         name = next(task for task in means["task"] if task != SHAPE_TASK)
         page.section("A set of frames", *tables(means, name), name=name)
     page.csv("recognised", rows)
-    lines = conclusion(means)
+    lines = conclusion(means) + add_first_touch(page, quick, seed, executor)
     page.write(lines)
     return lines
 
