@@ -6,6 +6,8 @@ import math
 from dataclasses import dataclass
 
 from sparseskin.messages.quantised import n_bytes
+from sparseskin.nodes.compressor.change import FALSE_SENDS
+from sparseskin.nodes.compressor.phi.rotation import ROTATING
 from sparseskin.plugins.edge.description import CRC_BYTES, HEADER_BYTES
 
 from .models import HOP_S, LARGEST, cost
@@ -14,6 +16,8 @@ from .strategies import ANALOG, DIGITAL, LARGER, STRATEGIES, Strategy
 
 STAGES = ("ADC", "edge", "bus", "host")
 """Stages that a frame passes; each works on a frame while the one before it has the next."""
+QUIET_S = 0.5
+"""Longest silence of a skin at rest, as of `compressor.quiet`. Chosen: that of the documents."""
 NO_GRID = ("N/4 sums of rows", "N/4 sums of 16 x 16")
 """Strategies that need a grid: rows of columns, or neighbourhoods of cells."""
 
@@ -37,7 +41,8 @@ UNKNOWN = Accuracy(math.nan, math.nan, math.nan, math.nan)
 @dataclass(frozen=True)
 class Row:
     """A strategy on a skin: measurements, wires, conversions and bytes of a frame on the bus, with
-    header and checksum of the project's edge; time in each of `STAGES`, seconds (of the host for
+    header and checksum of the project's edge; bytes a second while nothing changes, NaN where the
+    edge cannot tell; time in each of `STAGES`, seconds (of the host for
     one core under a dense press; `host_calm_s`: where nothing presses); frames a second of all
     cores of the host; rate asked for; full scale, newtons; accuracy at the rate that is reached;
     parts of the skin that the host reconstructs by themselves.
@@ -48,6 +53,7 @@ class Row:
     lines: int
     conversions: int
     n_bytes: int
+    rest_bytes_s: float
     stage_s: dict[str, float]
     host_calm_s: float
     host_rate_hz: float
@@ -136,6 +142,7 @@ def row_of(strategy: Strategy, design: Design) -> Row:
         lines=n_wires,
         conversions=conversions,
         n_bytes=sent_bytes,
+        rest_bytes_s=rest_bytes_s(strategy, design),
         stage_s=stage_s,
         host_calm_s=host.calm_s,
         host_rate_hz=host_rate_hz,
@@ -143,6 +150,20 @@ def row_of(strategy: Strategy, design: Design) -> Row:
         range_n=design.range_n,
         patches=patches,
     )
+
+
+def rest_bytes_s(strategy: Strategy, design: Design) -> float:
+    """Bytes a second that a compressor with `quiet` sends at rest: a cycle of rows in each silence,
+    and false sends. NaN where the edge does not read all taxels, in which it would see a change.
+    """
+    n = design.n_taxels
+    m = strategy.m(n, design.n_rows)
+    _, conversions = wires_of(strategy, design)
+    if conversions < n and strategy.phi != LARGER:
+        return math.nan
+    cycle = -(-n // m) if strategy.rows == ROTATING else 1
+    frames_s = min(design.rate_hz, cycle / QUIET_S + FALSE_SENDS * design.rate_hz)
+    return frames_s * frame_bytes(strategy, design)
 
 
 def wires_of(strategy: Strategy, design: Design) -> tuple[int, int]:

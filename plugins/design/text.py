@@ -50,11 +50,19 @@ def _touch(row: Row) -> str:
     return f"{1e3 * row.light_touch_n:.3g}"
 
 
+def _rest(row: Row) -> str:
+    """Cell of the bytes a second at rest; "-" where every frame is sent."""
+    if math.isnan(row.rest_bytes_s):
+        return "-"
+    return f"{row.rest_bytes_s:.0f}"
+
+
 COLUMNS: dict[str, Callable[[Row], str]] = {
     "way to read": lambda row: row.strategy.name,
     "M": lambda row: str(row.m),
     "wires": lambda row: str(row.lines),
     "bytes": lambda row: str(row.n_bytes),
+    "at rest\nB/s": _rest,
     "Hz": _rate,
     "limit": _limit,
     "PSNR\ndB": _db(lambda a: f"{a.psnr_db:.1f}"),
@@ -201,6 +209,8 @@ LEGEND = (
     "!: fewer than asked for; limit in brackets: reached, and what would break first",
     "90 % of scenes: PSNR of further scenes and seeds; touch: least force a taxel at which a light "
     "press of 3 x 3 taxels is found in 90 % of cases",
+    "at rest: with compressor.quiet = 0.5, as many conversions, while nothing changes; -: the edge "
+    "does not read all taxels, and sends every frame, as does the edge in C",
     "rate, limit, latency and cores are those of a dense press; a patch cannot use more than one "
     "core of the host, as a frame needs the one before it",
 )
@@ -218,6 +228,7 @@ def record(row: Row, design: Design) -> dict[str, object]:
         "wires": row.lines,
         "conversions": row.conversions,
         "bytes": row.n_bytes,
+        "rest_bytes_s": row.rest_bytes_s,
         "asked_hz": design.rate_hz,
         "reached_hz": row.reached_hz,
         "limit": row.limit,

@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 import pytest
-from bags import PERIOD_NS, chain, skin_state
+from bags import PERIOD_NS, chain, launched, skin_state
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.stats import chi2, norm
@@ -252,3 +252,28 @@ def test_a_replay_sends_the_same_frames():
         assert isinstance(edge.phi[0], PhiState)
         sent.append([(each.stamp_ns, each.quiet, each.y.tobytes()) for each in found])
     assert sent[0] == sent[1]
+
+
+def test_a_recording_of_a_quiet_skin_plays_back_to_the_same_forces(tmp_path):
+    path = tmp_path / "quiet.mcap"
+    bus = chain(
+        sensor={"source": "scene:path_40"},
+        compressor={"quiet": 0.05},
+        reconstructor={"iterations": 4, "fast": "off"},
+        recorder={"out": str(path)},
+    )
+    recorded = [m for messages in bus.frames(240) for m in messages]
+    bus.close()
+    bus.check()
+    changes = ("reconstructor.iterations=4", "reconstructor.fast=off")
+    replay = launched("replay_measurements", f"player.file={path}", *changes)
+    replayed = [m for messages in replay.frames() for m in messages]
+    replay.check()
+    frames = [
+        [(m.forces.tobytes(), m.quiet) for m in run if isinstance(m, Reconstruction)]
+        for run in (recorded, replayed)
+    ]
+    # The last frame is sent when the scene has ended, quiet or not.
+    assert 64 <= len(frames[0]) < 239
+    assert frames[1][: len(frames[0])] == frames[0]
+    assert frames[1][-1][1] + len(frames[1]) == 240
