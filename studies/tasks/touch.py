@@ -109,15 +109,18 @@ def _table(rows: pd.DataFrame, column: str, title: str, digits: str) -> str:
 
 
 def _conclusion(rows: pd.DataFrame) -> str:
-    """The fastest of the measurements beside the raster, by force, on pins."""
+    """The fastest of the measurements beside single taxels in both orders, by force, on pins."""
     pins = rows[rows["set"] == "pins"].set_index(["way", "force"])["median_us"]
     texts = []
     for force in dict.fromkeys(rows["force"]):
         measured = min((pins[way, force] for way in MEASURED), key=_or_last)
-        times = (measured, pins[RASTER, force])
+        times = (measured, pins[RASTER, force], pins[SHUFFLED, force])
         texts.append(f"{force:g} N " + " / ".join(_time_text(time) for time in times))
     times_text = ", ".join(texts)
-    return f"First touch of a pin, the fastest y / {RASTER}, median us: {times_text}."
+    return (
+        f"First touch of a pin, the fastest y / {RASTER} / in random order, median us: "
+        f"{times_text}."
+    )
 
 
 def _or_last(time: float | None) -> float:

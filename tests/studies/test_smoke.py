@@ -59,7 +59,7 @@ SIZES = (
     (
         touch,
         {
-            "WAYS": (*list(touch.MEASURED)[:1], touch.RASTER),
+            "WAYS": (*list(touch.MEASURED)[:1], touch.RASTER, touch.SHUFFLED),
             "MEASURED": dict(list(touch.MEASURED.items())[:1]),
             "QUICK_FORCES_N": (0.5,),
             "QUICK_PRESSES": 4,
