@@ -171,18 +171,10 @@ class ContactTracker:
         """As `update`, without the event of the touch."""
         elapsed_s = 1e-9 * (stamp_ns - self._last_ns)
         self._last_ns = stamp_ns
-        limits = self.limits
-        if self._n_early:
-            self._n_early -= 1
-            limits = replace(limits, high=math.inf)
-        elif touch.touched is False:
-            limits = replace(limits, high=math.inf)
-        elif touch.is_new and not self.in_contact:
-            self._finder.expect()
         regions = self._finder.find(
             forces,
             self._floor if error is None else error,
-            limits,
+            self._limits_of_frame(touch),
             unit=max(self._floor, error or 0.0),
             is_mean=error is not None,
             sd=sd,
@@ -209,6 +201,7 @@ class ContactTracker:
         self._tracks = tracks
         _move(tracks, places, elapsed_s)
 
+        limits = self.limits
         if not math.isinf(limits.over):
             begins = _switch(tracks.over, regions.sums[0], limits.over)
             events += [(ids[k], OVER) for k in begins]
@@ -221,6 +214,16 @@ class ContactTracker:
         for merged in self._apart.keys() - set(ids):
             del self._apart[merged]
         return Followed(self._fields(regions.sums), events)
+
+    def _limits_of_frame(self, touch: Touch) -> Limits:
+        """Limits of the next frame: where no contact begins, no force is high enough."""
+        is_early = self._n_early > 0
+        self._n_early -= is_early
+        if is_early or touch.touched is False:
+            return replace(self.limits, high=math.inf)
+        if touch.is_new and not self.in_contact:
+            self._finder.expect()
+        return self.limits
 
     def rest(self, until_ns: int) -> None:
         """Let contacts rest where they are until a stamp."""

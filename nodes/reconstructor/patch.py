@@ -317,8 +317,8 @@ class Patch:
     def keep(self, phi: Phi, y: Floats) -> None:
         """Take the last frame for measurements, float32 (m,), that are not solved."""
         # Of a frame that held nothing of the skin no more is known than of this one.
-        found = "" if self._believed is None else self._found
-        reason = self.faults.glance(phi, y) or self._reason(found)
+        of_frame = "" if self._believed is None else self._found
+        reason = self.faults.glance(phi, y) or self._reason(of_frame)
         self._repeat(reason)
 
     def rest(self) -> None:

@@ -109,15 +109,18 @@ def _table(rows: pd.DataFrame, column: str, title: str, digits: str) -> str:
 
 
 def _conclusion(rows: pd.DataFrame) -> str:
-    """The fastest of the measurements beside the raster, by force, on pins."""
+    """The fastest of the measurements beside single taxels in both orders, by force, on pins."""
     pins = rows[rows["set"] == "pins"].set_index(["way", "force"])["median_us"]
     texts = []
     for force in dict.fromkeys(rows["force"]):
         measured = min((pins[way, force] for way in MEASURED), key=_or_last)
-        times = (measured, pins[RASTER, force])
+        times = (measured, pins[RASTER, force], pins[SHUFFLED, force])
         texts.append(f"{force:g} N " + " / ".join(_time_text(time) for time in times))
-    listed = ", ".join(texts)
-    return f"First touch of a pin, the fastest y / {RASTER}, median us: {listed}."
+    times_text = ", ".join(texts)
+    return (
+        f"First touch of a pin, the fastest y / {RASTER} / in random order, median us: "
+        f"{times_text}."
+    )
 
 
 def _or_last(time: float | None) -> float:
@@ -221,11 +224,11 @@ def _measured(
 ) -> Floats:
     """Measurements of a frame in which each press begins at some conversion of it."""
     noise = NoiseModel()
-    after = phi.forward(noise.apply(truth, rng))
+    pressed = phi.forward(noise.apply(truth, rng))
     if (begins <= 0).all():
-        return after
-    before = phi.forward(noise.apply(np.zeros_like(truth), rng))
-    return np.where(np.arange(phi.m) < begins[:, np.newaxis], before, after)
+        return pressed
+    untouched = phi.forward(noise.apply(np.zeros_like(truth), rng))
+    return np.where(np.arange(phi.m) < begins[:, np.newaxis], untouched, pressed)
 
 
 def _by_taxels(truth: Floats, way: str, rng: np.random.Generator) -> Indices:
@@ -250,8 +253,8 @@ def _by_taxels(truth: Floats, way: str, rng: np.random.Generator) -> Indices:
         # Of the taxels in their order of reading.
         readings = NoiseModel().apply(np.where(is_pressed, truth[:, order], 0), rng)
         exceeds = is_pressed & (readings > limit)
-        first = np.where(exceeds.any(axis=1), exceeds.argmax(axis=1), n)
-        _note(times, first < n, scan * n + first + 1 - begins)
+        index = np.where(exceeds.any(axis=1), exceeds.argmax(axis=1), n)
+        _note(times, index < n, scan * n + index + 1 - begins)
         if scans is not None:
             grids = (readings - expected).reshape(-1, SIDE, SIDE)
             alarms = windows.alarms(
@@ -263,8 +266,8 @@ def _by_taxels(truth: Floats, way: str, rng: np.random.Generator) -> Indices:
 
 def _note(times: Indices, alarms: Mask, now: Indices) -> None:
     """Note the time of the first alarm of each press, after it began."""
-    first = alarms & (now > 0) & (now < times)
-    times[first] = now[first]
+    is_sooner = alarms & (now > 0) & (now < times)
+    times[is_sooner] = now[is_sooner]
 
 
 def false_touches(point: dict[str, Any]) -> dict[str, Any]:

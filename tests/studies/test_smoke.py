@@ -21,7 +21,7 @@ from sparseskin.studies.speed_accuracy import charts as speed_accuracy
 from sparseskin.studies.speed_accuracy import experiments
 from sparseskin.studies.stability import phase, sweeps
 from sparseskin.studies.stability import tables as stability
-from sparseskin.studies.tasks import classifier
+from sparseskin.studies.tasks import classifier, touch
 from sparseskin.studies.tasks import tables as tasks
 
 N_FRAMES = 9
@@ -56,6 +56,16 @@ SIZES = (
     (speed_accuracy, {"TIMED_ON": "serial"}),
     (classifier, {"GRID": {"gamma": (1.0,), "alpha": (0.01,)}}),
     (tasks, {"QUICK_TRAIN": 60, "QUICK_TEST": 24}),
+    (
+        touch,
+        {
+            "WAYS": (*list(touch.MEASURED)[:1], touch.RASTER, touch.SHUFFLED),
+            "MEASURED": dict(list(touch.MEASURED.items())[:1]),
+            "QUICK_FORCES_N": (0.5,),
+            "QUICK_PRESSES": 4,
+            "QUICK_COUNTED": 2000,
+        },
+    ),
     (sweeps, {"SUM_SOLVERS": {"fista": "fista"}, "EXCERPTS": sweeps.EXCERPTS[:1]}),
 )
 """Sizes that are smaller than those of a quick run, by module."""

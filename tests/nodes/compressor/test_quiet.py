@@ -70,7 +70,7 @@ def test_squares_sum_all_taxels_at_every_level(n_rows, n_cols):
 @given(st.integers(1, 10_000), st.floats(2.0, 8.0))
 def test_bounds_lie_between_closed_forms(n, z):
     # One clipped reading exceeds z as often as a normal one; many are nearly normal.
-    assert CLIPPED < variance_clipped(Weights(n_own=n), 1, z) < 1
+    assert CLIPPED < variance_clipped(Weights(n_inside=n), 1, z) < 1
     quantile = chi2.isf(norm.sf(z), n)
     assert energy_bound(n, 0, z) > 0.99 * quantile
     assert energy_bound(0, n, z) > energy_bound(n, 0, z)
@@ -195,8 +195,12 @@ def test_of_several_patches_only_those_that_change_are_sent():
 
 @pytest.mark.parametrize("n_lost", [0, 3])
 def test_frames_and_losses_are_counted_exactly(n_lost):
+    # By a clock of its own: heartbeats do not depend on the load of the host.
     bus = chain(
-        sensor={"source": "scene:path_40"}, compressor={"quiet": 0.05}, monitor={}
+        ManualClock(1),
+        sensor={"source": "scene:path_40"},
+        compressor={"quiet": 0.05},
+        monitor={},
     )
     monitor = bus.hosts["monitor"]
     node = bus.hosts["reconstructor"].node
@@ -257,6 +261,7 @@ def test_a_replay_sends_the_same_frames():
 def test_a_recording_of_a_quiet_skin_plays_back_to_the_same_forces(tmp_path):
     path = tmp_path / "quiet.mcap"
     bus = chain(
+        ManualClock(1),
         sensor={"source": "scene:path_40"},
         compressor={"quiet": 0.05},
         reconstructor={"iterations": 4, "fast": "off"},
@@ -273,7 +278,7 @@ def test_a_recording_of_a_quiet_skin_plays_back_to_the_same_forces(tmp_path):
         [(m.forces.tobytes(), m.quiet) for m in run if isinstance(m, Reconstruction)]
         for run in (recorded, replayed)
     ]
-    # The last frame is sent when the scene has ended, quiet or not.
-    assert 64 <= len(frames[0]) < 239
+    # What is quiet at the end is sent after all, as the bus closes.
+    assert 64 <= len(frames[0]) < 200
     assert frames[1][: len(frames[0])] == frames[0]
-    assert frames[1][-1][1] + len(frames[1]) == 240
+    assert len(frames[1]) <= len(frames[0]) + 1
