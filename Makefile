@@ -84,6 +84,7 @@ test-kernels: .venv/installed-dev
 
 # The documentation site in out/site, warnings being errors.
 docs: .venv/installed-docs
+	$(BIN)/python docs/site_pages.py out
 	NO_MKDOCS_2_WARNING=1 $(BIN)/python -m mkdocs build --quiet --strict
 
 # The checks before each commit (.pre-commit-config.yaml).

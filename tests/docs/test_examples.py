@@ -135,6 +135,8 @@ def site(tmp_path_factory):
     pytest.importorskip("mkdocs")
     pytest.importorskip("mkdocstrings")
     folder = tmp_path_factory.mktemp("site")
+    pages = [sys.executable, "docs/site_pages.py", "out"]
+    subprocess.run(pages, cwd=ROOT, check=True)
     done = subprocess.run(
         [
             sys.executable,

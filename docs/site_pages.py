@@ -1,8 +1,10 @@
-"""Hooks of the site builder: pages from outside docs/, and mathematics as MathML.
+"""Finished pages of the documentation site: python docs/site_pages.py FOLDER writes them to
+FOLDER/pages, from where the site builder takes them.
 
-Formulas stand in the pages as `$...$` in a line and as blocks fenced by ```math, as GitHub shows
-them. The site has them as MathML, which browsers draw themselves: no script, no font and no other
-host is needed.
+Added are the pages at the top of the repository and one for each example. Formulas stand in the
+pages as `$...$` in a line and as blocks fenced by ```math, as GitHub shows them. The site has them
+as MathML, which browsers draw themselves: no script, no font and no other host is needed.
+FOLDER/package is a copy of the package from which the builder reads docstrings.
 """
 
 from __future__ import annotations
@@ -10,15 +12,12 @@ from __future__ import annotations
 import ast
 import re
 import shutil
-import tempfile
+import sys
 import tomllib
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 
 from latex2mathml.converter import convert
-from mkdocs.plugins import event_priority
-from mkdocs.structure.files import File, Files
 
 ROOT = Path(__file__).resolve().parent.parent
 EXAMPLES = sorted((ROOT / "examples").glob("*.py"))
@@ -38,55 +37,53 @@ _INLINE = re.compile(
 )
 
 
-_tree = tempfile.TemporaryDirectory()
+def write(out: Path) -> None:
+    """Write pages and package into the folder `out`, in place of those of an earlier run."""
+    for folder in (out / "pages", out / "package"):
+        shutil.rmtree(folder, ignore_errors=True)
+    left_out = shutil.ignore_patterns("*.py", "__pycache__")
+    shutil.copytree(ROOT / "docs", out / "pages", ignore=left_out)
+    _copy_package(out / "package" / "sparseskin")
+
+    pages = {
+        str(path.relative_to(ROOT / "docs")): path.read_text(encoding="utf-8")
+        for path in (ROOT / "docs").rglob("*.md")
+    }
+    for source, page in TOP_PAGES.items():
+        pages[page] = _moved((ROOT / source).read_text(encoding="utf-8"))
+    for path in EXAMPLES:
+        pages[f"examples/{path.stem}.md"] = _example_page(path)
+    for page, text in pages.items():
+        target = out / "pages" / page
+        target.parent.mkdir(exist_ok=True)
+        target.write_text(_finished(page, text), encoding="utf-8")
 
 
-@event_priority(100)  # before mkdocstrings reads its settings
-def on_config(config: Any, **_: Any) -> Any:
-    """Let the docstrings be read from a copy of the package, in which each folder is a package."""
-    package = Path(_tree.name, "sparseskin")
+def _copy_package(package: Path) -> None:
+    """Copy the package, each folder of it a package for who reads docstrings."""
     # A source distribution has the folders alone, without the links to them.
     folders = ("messages", "nodes", "launch", "studies", "plugins")
     links = shutil.ignore_patterns(*folders)
-    shutil.copytree(
-        ROOT / "src" / "sparseskin", package, dirs_exist_ok=True, ignore=links
-    )
+    shutil.copytree(ROOT / "src" / "sparseskin", package, ignore=links)
     for name in folders:
-        shutil.copytree(ROOT / name, package / name, dirs_exist_ok=True)
-    (
-        package / "launch" / "__init__.py"
-    ).touch()  # it has none, and would not be searched
-    config.plugins["mkdocstrings"].config.handlers["python"]["paths"] = [_tree.name]
-    return config
+        shutil.copytree(ROOT / name, package / name)
+    # It has none, and would not be searched.
+    (package / "launch" / "__init__.py").touch()
 
 
-def on_shutdown(**_: Any) -> None:
-    """Remove the tree."""
-    _tree.cleanup()
-
-
-def on_files(files: Files, config: Any, **_: Any) -> Files:
-    """Add the pages from the top of the repository, and a page for each example."""
-    for source, page in TOP_PAGES.items():
-        text = (ROOT / source).read_text(encoding="utf-8")
-        files.append(File.generated(config, page, content=_moved(text)))
-    for path in EXAMPLES:
-        page = f"examples/{path.stem}.md"
-        files.append(File.generated(config, page, content=_example_page(path)))
-    return files
-
-
-def on_page_markdown(markdown: str, page: Any, **_: Any) -> str:
-    """Replace each formula of a page by its MathML, and links out of docs/ by links to pages."""
-    if page.file.src_uri == "reference/json.md":
+def _finished(page: str, markdown: str) -> str:
+    """The text of a page with its generated part, each formula as MathML, and links out of docs/
+    as links to pages.
+    """
+    if page == "reference/json.md":
         markdown += "".join(_tables(ROOT / "docs" / "reference" / "json.toml"))
-    if page.file.src_uri == "reference/examples.md":
+    if page == "reference/examples.md":
         cards = "".join(
             map(_card, sorted(EXAMPLES, key=lambda path: not _picture(path)))
         )
         markdown += f'\n<div class="grid cards" markdown>\n\n{cards}\n</div>\n'
-    for source, page in TOP_PAGES.items():
-        markdown = markdown.replace(f"](../../{source}", f"](../{page}")
+    for source, target in TOP_PAGES.items():
+        markdown = markdown.replace(f"](../../{source}", f"](../{target}")
     markdown = re.sub(
         r"\]\((?:\.\./(\.\./))?examples/(\w+)\.py\)", r"](\1examples/\2.md)", markdown
     )
@@ -145,3 +142,7 @@ def _example_page(path: Path) -> str:
     output = f"It prints:\n\n```text\n{printed}```\n\n" if printed else ""
     head = f"# {path.name}\n\n{_title(path)}\n\n{_picture(path)}\n\n"
     return f"{head}{output}```python\n{source}```\n"
+
+
+if __name__ == "__main__":
+    write(Path(sys.argv[1]))
