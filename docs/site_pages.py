@@ -114,7 +114,9 @@ def _moved(text: str) -> str:
     text = text.replace("](docs/", "](")
     for source, page in TOP_PAGES.items():
         text = text.replace(f"]({source}", f"]({page}")
-    return re.sub(r"\[([^\]]+)\]\((LICENSE|CITATION\.cff)\)", r"\1 (`\2`)", text)
+    # Files of the repository that are no pages.
+    files = r"LICENSE|CITATION\.cff|SECURITY\.md|CODE_OF_CONDUCT\.md"
+    return re.sub(rf"\[([^\]]+)\]\(({files})\)", r"\1 (`\2`)", text)
 
 
 def _title(path: Path) -> str:
