@@ -542,7 +542,7 @@ def facts(rows: pd.DataFrame, n_most: int) -> pd.DataFrame:
 
 def _draw_contacts(out: Path, rows: pd.DataFrame) -> str:
     caption = (
-        "Contacts found, of all true ones in all frames, by bytes a taxel in each frame"
+        "Contacts found, of all true ones in all frames, by bytes per taxel in each frame"
     )
     with_contacts = rows[rows["found"].notna()].astype({"found": float})
     with_contacts["bytes"] = VALUE_BYTES / with_contacts["ratio"]
@@ -575,7 +575,7 @@ def _draw_contacts(out: Path, rows: pd.DataFrame) -> str:
             axes.set_xticks([], minor=True)
             axes.set_ylim(0, 103)
             axes.set_title("recordings" if recorded else "simulated")
-        chart.label("measurements\nbytes a taxel", "contacts found, %")
+        chart.label("measurements\nbytes per taxel", "contacts found, %")
     return chart.markdown
 
 
