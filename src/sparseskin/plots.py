@@ -61,8 +61,9 @@ def plot_forces(
         raise SparseskinError(
             f"plot_forces: {len(names)} titles; expected one for each of {len(frames)} frames"
         )
+    _, n_rows, n_cols = frames.shape
     try:
-        skin = Skin(*frames.shape[1:], f_max=1.0, mask=mask)
+        skin = Skin(n_rows, n_cols, f_max=1.0, mask=mask)
     except MessageError as error:
         raise SparseskinError(f"plot_forces: {error}") from error
     try:
@@ -73,17 +74,17 @@ def plot_forces(
 
     n_columns = min(len(frames), MAX_COLUMNS)
     n_lines = -(-len(frames) // n_columns)
-    aspect = frames.shape[1] / frames.shape[2]
+    aspect = n_rows / n_cols
     height_in = max(LEAST_IN, SIDE_IN * aspect * n_lines + 0.4)
     size_in = (SIDE_IN * n_columns + 0.8, height_in)
     figure, axes = plt.subplots(
         n_lines, n_columns, figsize=size_in, squeeze=False, layout="constrained"
     )
-    shown = np.where(skin.exists, frames, np.float32(np.nan))
+    maps = np.where(skin.exists, frames, np.float32(np.nan))
     # A frame without a force has a scale, too.
-    largest = float(np.nanmax(shown)) or 1.0
+    largest = float(np.nanmax(maps)) or 1.0
     panels = list(axes.flat)
-    for panel, frame in zip(panels, shown, strict=False):
+    for panel, frame in zip(panels, maps, strict=False):
         image = panel.imshow(frame, vmin=0.0, vmax=largest)
         panel.set(xticks=[], yticks=[])
     for panel, name in zip(panels, names, strict=False):

@@ -541,9 +541,7 @@ def facts(rows: pd.DataFrame, n_most: int) -> pd.DataFrame:
 
 
 def _draw_contacts(out: Path, rows: pd.DataFrame) -> str:
-    caption = (
-        "Contacts found, of all true ones in all frames, by bytes per taxel in each frame"
-    )
+    caption = "Contacts found, of all true ones in all frames, by bytes per taxel in each frame"
     with_contacts = rows[rows["found"].notna()].astype({"found": float})
     with_contacts["bytes"] = VALUE_BYTES / with_contacts["ratio"]
     with_contacts["recorded"] = with_contacts["kind"] == "RecordedFrames"
