@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from sparseskin.messages import PhiState, Reason, SkinState
+from sparseskin.messages import Reason, SkinState
 from sparseskin.messages.reasons import first_reason
 from sparseskin.nodes.compressor.phi.base import Phi, phi_fact
 from sparseskin.nodes.numerics.arrays import Floats, Mask, of_nine
@@ -96,7 +96,6 @@ class Patch:
         settings: ReconstructorSettings,
         subsets: list[Phi],
         state: SkinState,
-        announced: PhiState,
         live: bool,
         alike: Patch | None = None,
     ) -> dict[str, Any]:
@@ -165,9 +164,7 @@ class Patch:
         self._watch_faults(settings, state, solver.mask)
         if settings.uncertainty:
             table = solver_fact(cls, "calibrated")
-            self._uncertainty = Uncertainty(
-                solver.mask, phi.ratio, table, announced.rows, phi.rule
-            )
+            self._uncertainty = Uncertainty(solver.mask, phi.ratio, table)
         if settings.contacts and not (self._tracker and self._tracker.fits(state)):
             from .contact_tracks import ContactTracker
 
@@ -274,7 +271,7 @@ class Patch:
 
         sd = None
         if self._uncertainty is not None:
-            sd = self._uncertainty.update(forces, residual)
+            sd = self._uncertainty.of(forces, residual, self._error)
             if self._missing is not None:
                 sd[self._missing] = self._f_max  # nothing is known of them
         self._found = verdict.reason
