@@ -317,6 +317,8 @@ def touched(page: Page, rows: pd.DataFrame) -> str:
         by_ratio(rows, keys, "{total_sds:.1f}, {centre_sds:.1f}"),
         "Errors of total and centre within 1.645 stated deviations, of 90, in %:",
         by_ratio(rows, keys, "{total_held:.0f}, {centre_held:.0f}"),
+        "The same, beside the true forces on the taxels of the contact that is published:",
+        by_ratio(rows, keys, "{own_total_held:.0f}, {own_centre_held:.0f}"),
         "Ids lost and swapped, in 1000 frames of a contact:",
         by_ratio(rows, keys, "{lost:.1f}, {swapped:.1f}"),
         least=contacts.LEAST,
@@ -482,6 +484,8 @@ def marks(rows: pd.DataFrame, keys: list[str]) -> tuple[Any, ...]:
         ),
         f"The same: frames within a factor of {CLOSE:g}, in %:",
         by_ratio(rows, keys, "{estimate_close:.0f}"),
+        "True forces of touched taxels within 1.645 standard deviations, of 90, in %:",
+        by_ratio(rows, keys, "{held:.0f}"),
         "\n".join(f"- {line}" for line in marked(rows)),
     )
 

@@ -42,7 +42,6 @@ class Uncertainty:
         factor, power = calibrated
         self._factor = factor * ratio**power
         self._mask = mask
-        self._n = np.count_nonzero(mask)
 
     def of(self, forces: Floats, residual: float, error: float | None) -> Floats:
         """Standard deviations of a frame.
@@ -64,12 +63,19 @@ class Uncertainty:
         """
         if error is None:
             error = self._factor * residual
-        e = np.float32(max(error, LEAST_ERROR))
-        q = np.hypot(_roughness(forces), e)
-        q *= self._mask
-        mean = q.sum(dtype=np.float64) / self._n
-        sd: Floats = np.float32(SCALE) * e * np.sqrt(q / np.float32(mean))
-        return sd
+        return deviations(forces, error, self._mask)
+
+
+def deviations(forces: Floats, error: float, mask: Mask) -> Floats:
+    """Standard deviations of forces of an RMS error, both float32 (n_rows, n_cols); see
+    `Uncertainty`.
+    """
+    e = np.float32(max(error, LEAST_ERROR))
+    q = np.hypot(_roughness(forces), e)
+    q *= mask
+    mean = q.sum(dtype=np.float64) / np.count_nonzero(mask)
+    sd: Floats = np.float32(SCALE) * e * np.sqrt(q / np.float32(mean))
+    return sd
 
 
 def _roughness(forces: Floats) -> Floats:
