@@ -243,7 +243,7 @@ class Scores:
     relative: list[float] = field(default_factory=list)
     estimates: list[float] = field(default_factory=list)
     # Of each of these: part of the touched taxels whose true force is within its band of 90 %.
-    held: list[float] = field(default_factory=list)
+    in_band: list[float] = field(default_factory=list)
     # Of each untouched frame: True if its reconstruction is a ghost (`GHOST`).
     ghosts: list[bool] = field(default_factory=list)
     # Of each frame with an estimate: True if it is marked; its relative error, NaN without contact.
@@ -280,12 +280,12 @@ class Scores:
             if solved.error is not None and off:
                 n = truth.size if self.mask is None else np.count_nonzero(self.mask)
                 self.estimates.append(solved.error * math.sqrt(n) / off)
-                self.held += self._held(solved, error, truth)
+                self.in_band += self._in_band(solved, error, truth)
         if self.total and float(self._taxels(truth).sum()) <= UNTOUCHED * self.total:
             total = float(self._taxels(solved.forces).sum())
             self.ghosts.append(total > GHOST * self.total)
 
-    def _held(self, solved: Solved, error: Floats, truth: Floats) -> list[float]:
+    def _in_band(self, solved: Solved, error: Floats, truth: Floats) -> list[float]:
         """Part of the touched taxels whose error is within its band; none if nothing touches."""
         is_touched = truth > CONTACT_FRACTION * self.f_max_n
         if not is_touched.any():

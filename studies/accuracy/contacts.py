@@ -184,8 +184,8 @@ class ContactScores:
             if hit:
                 at[contact_id] = int(counts.argmax())
                 if total >= LEAST:
-                    found = regions == at[contact_id] + 1
-                    self._found(truth, region, found, contacts, at[contact_id])
+                    taxels = regions == at[contact_id] + 1
+                    self._found(truth, region, taxels, contacts, at[contact_id])
                 if contact_id in part.begins:
                     self.delays.append(k - part.begins.pop(contact_id))
         for contact_id in [
@@ -203,18 +203,18 @@ class ContactScores:
         self,
         truth: Floats,
         region: Mask,
-        found: Mask,
+        taxels: Mask,
         contacts: dict[str, Any],
         row: int,
     ) -> None:
-        """Count the errors of a contact in a row, of taxels `found`; the true one is `region`."""
+        """Count the errors of a contact in a row, of some taxels; the true one is `region`."""
         errors = _errors(truth, region, contacts, row)
         self.off.append(math.hypot(*errors[1:]))
         true_total = float(contacts["total"][row]) - errors[0]
         self.relative.append(abs(errors[0] / true_total))
         _count_in_sd(self.in_sd, errors, contacts, row)
-        if truth[found].any():
-            own_errors = _errors(truth, found, contacts, row)
+        if truth[taxels].any():
+            own_errors = _errors(truth, taxels, contacts, row)
             _count_in_sd(self.in_own_sd, own_errors, contacts, row)
 
     def _follow_id(

@@ -283,16 +283,7 @@ def touched(page: Page, rows: pd.DataFrame) -> str:
     )
     rows["frames"] = [*map(_source, of_frames.itertuples())]
     page.csv("contacts", rows.drop(columns=["path"], errors="ignore"))
-    classes = rows.explode(["n_true", "n_missed"])
-    classes["force"] = list(contacts.CLASSES) * len(rows)
-    sums = classes.groupby(["force", "method", "ratio"], sort=False)[
-        ["n_true", "n_missed"]
-    ].sum()
-    sums = sums[sums["n_true"] > 0].reset_index()
-    sums["missed"] = 100 * sums["n_missed"] / sums["n_true"]
-    sums = sums.set_index("force").loc[
-        [c for c in contacts.CLASSES if c in set(sums["force"])]
-    ]
+    sums = _missed(rows)
     keys = ["frames"]
     page.section(
         "Contacts",
@@ -302,7 +293,7 @@ def touched(page: Page, rows: pd.DataFrame) -> str:
         by_ratio(rows, keys, "{delay:.0f} ({delay_95:.0f}), {begun:.0f}"),
         "True contacts that are missed, in % of all in all frames, by their total force in ranges "
         "of a taxel:",
-        by_ratio(sums.reset_index(), ["force"], "{missed:.1f}"),
+        by_ratio(sums, ["force"], "{missed:.1f}"),
         "The same by source:",
         by_ratio(
             rows.assign(missed=100 - rows["found"].astype(float)), keys, "{missed:.1f}"
@@ -330,6 +321,19 @@ def touched(page: Page, rows: pd.DataFrame) -> str:
     )
     reading = means[RAW].iloc[0]
     return f"Contacts found, mean over the sources: {ours}, {reading:.1f} % in the full reading."
+
+
+def _missed(rows: pd.DataFrame) -> pd.DataFrame:
+    """True contacts that are missed, in %, by class of their force, method and ratio."""
+    classes = rows.explode(["n_true", "n_missed"])
+    classes["force"] = list(contacts.CLASSES) * len(rows)
+    sums = classes.groupby(["force", "method", "ratio"], sort=False)[
+        ["n_true", "n_missed"]
+    ].sum()
+    sums = sums[sums["n_true"] > 0].reset_index()
+    sums["missed"] = 100 * sums["n_missed"] / sums["n_true"]
+    classes_there = [c for c in contacts.CLASSES if c in set(sums["force"])]
+    return sums.set_index("force").loc[classes_there].reset_index()
 
 
 def _source(one: Any) -> str:

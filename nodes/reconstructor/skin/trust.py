@@ -101,11 +101,11 @@ class Confirmation:
         mean square of their innovation, and the noise variance.
         """
         shown2 = max(innovation2 - noise, 0.0)
-        kept = 1 - self._tuning.share_rate
+        memory = 1 - self._tuning.share_rate
         # A mean square of n numbers of variance v has the variance 2 v^2 / n.
         weight = n_read / 2 / ((stated2 + noise) ** 2 + TINY)
-        self._products = kept * self._products + weight * shown2 * stated2
-        self._squares = kept * self._squares + weight * stated2 * stated2
+        self._products = memory * self._products + weight * shown2 * stated2
+        self._squares = memory * self._squares + weight * stated2 * stated2
         ridge = self._tuning.belief
         self.part = min((self._products + ridge) / (self._squares + ridge), 1.0)
 
