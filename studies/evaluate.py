@@ -19,6 +19,7 @@ from sparseskin.nodes.errors import PhiError, SparseskinError
 from sparseskin.nodes.monitor.metrics import psnr_db
 from sparseskin.nodes.numerics.arrays import Doubles, Floats, Mask
 from sparseskin.nodes.reconstructor.bases.base import make_basis
+from sparseskin.nodes.reconstructor.estimates.uncertainty import deviations
 from sparseskin.nodes.reconstructor.solvers.base import (
     Solver,
     estimated_error,
@@ -57,6 +58,8 @@ the second a frame should be marked as not to be trusted, above the third it may
 it should not. Chosen."""
 CLOSE = 1.5
 """Factor of the true error within which an estimate is close. Chosen."""
+BAND = 1.645
+"""Half width of the band that holds 90 % of normal errors, in their deviations. Derived."""
 
 
 class Solved(NamedTuple):
@@ -245,6 +248,8 @@ class Scores:
     touched: list[tuple[float, int]] = field(default_factory=list)
     relative: list[float] = field(default_factory=list)
     estimates: list[float] = field(default_factory=list)
+    # Of each of these: part of the touched taxels whose true force is within its band of 90 %.
+    in_band: list[float] = field(default_factory=list)
     # Of each untouched frame: True if its reconstruction is a ghost (`GHOST`).
     ghosts: list[bool] = field(default_factory=list)
     # Of each frame with an estimate: True if it is marked; its relative error, NaN without contact.
@@ -281,9 +286,21 @@ class Scores:
             if solved.error is not None and off:
                 n = truth.size if self.mask is None else np.count_nonzero(self.mask)
                 self.estimates.append(solved.error * math.sqrt(n) / off)
+                self.in_band += self._in_band(solved, error, truth)
         if self.total and float(self._taxels(truth).sum()) <= UNTOUCHED * self.total:
             total = float(self._taxels(solved.forces).sum())
             self.ghosts.append(total > GHOST * self.total)
+
+    def _in_band(self, solved: Solved, error: Floats, truth: Floats) -> list[float]:
+        """Part of the touched taxels whose error is within its band; none if nothing touches."""
+        is_touched = truth > CONTACT_FRACTION * self.f_max_n
+        if not is_touched.any():
+            return []
+        exists = (
+            np.ones(truth.shape, dtype=np.bool_) if self.mask is None else self.mask
+        )
+        sd = deviations(solved.forces, solved.error or 0.0, exists)
+        return [float(np.mean(np.abs(error) <= BAND * sd, where=is_touched))]
 
     def _taxels(self, image: Floats) -> Doubles:
         """Values of the taxels that exist."""

@@ -318,6 +318,8 @@ SCORES: dict[str, Callable[[Scores], Any]] = {
     "estimate_close": lambda s: _mean(
         [1 / CLOSE < ratio < CLOSE for ratio in s.estimates], 100
     ),
+    # Touched taxels of these frames whose true force is within its band of 90 %, in %.
+    "held": lambda s: _mean(s.in_band, 100),
     **{
         f"estimate_{name}": lambda s, percent=percent: _percentile(s.estimates, percent)  # type: ignore[misc]
         for name, percent in (("low", 5), ("median", 50), ("high", 95))

@@ -235,7 +235,7 @@ class Reconstructor(Node[ReconstructorSettings]):
         self._log.setting_up = True
         try:
             leader, *other_patches = self._patches
-            of_skin = self.settings, subsets, state, announced, self.context.live
+            of_skin = self.settings, subsets, state, self.context.live
             solver = leader.set_up(*of_skin)
             for patch in other_patches:
                 patch.set_up(*of_skin, alike=leader)

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from sparseskin.messages import PhiState, Reason, SkinState
+from sparseskin.messages import Reason, SkinState
 from sparseskin.messages.quantised import step_of
 from sparseskin.messages.reasons import first_reason
 from sparseskin.nodes.compressor.phi.base import Phi, phi_fact
@@ -98,7 +98,6 @@ class Patch:
         settings: ReconstructorSettings,
         subsets: list[Phi],
         state: SkinState,
-        announced: PhiState,
         live: bool,
         alike: Patch | None = None,
     ) -> dict[str, Any]:
@@ -164,9 +163,7 @@ class Patch:
         )
         if settings.uncertainty:
             table = solver_fact(cls, "calibrated")
-            self._uncertainty = Uncertainty(
-                solver.mask, phi.ratio, table, announced.rows, phi.rule
-            )
+            self._uncertainty = Uncertainty(solver.mask, phi.ratio, table)
         if settings.contacts and not (self._tracker and self._tracker.fits(state)):
             from .contact_tracks import ContactTracker
 
@@ -290,7 +287,7 @@ class Patch:
 
         sd = None
         if self._uncertainty is not None:
-            sd = self._uncertainty.update(forces, residual)
+            sd = self._uncertainty.of(forces, residual, self._error)
             # Of a taxel without a reading nothing is known but the range.
             if self._missing is not None:
                 sd[self._missing] = self._f_max

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -18,7 +19,7 @@ from sparseskin.nodes.numerics.arrays import Floats, Mask
 from sparseskin.nodes.reconstructor.contact_tracks import EARLY, ContactTracker, joined
 from sparseskin.nodes.reconstructor.contacts import NEIGHBOURS, Limits
 from sparseskin.nodes.reconstructor.settings import PRESETS
-from sparseskin.studies.evaluate import VALUE_BYTES, Estimator, Method
+from sparseskin.studies.evaluate import BAND, VALUE_BYTES, Estimator, Method
 from sparseskin.studies.frames import (
     Frames,
     MeetingFrames,
@@ -47,8 +48,6 @@ QUICK_UNTOUCHED = 50
 FRAME_NS = 1_000_000
 MEDIAN_OF_NORMAL = 0.6745
 """Median of the absolute value of normal numbers, in standard deviations. Derived."""
-BAND = 1.645
-"""Half width of the band that holds 90 % of normal errors, in their deviations. Derived."""
 TRUE = Limits(low=1.0, high=0.5)
 """Limits of true contacts: all taxels above 0.4 % of the range."""
 
@@ -111,6 +110,8 @@ class ContactScores:
         self.relative: list[float] = []
         # Errors in deviations: of totals, and of centres along both axes.
         self.in_sd: tuple[list[float], list[float]] = [], []
+        # The same, beside the true forces on the taxels of the contact that was found.
+        self.in_own_sd: tuple[list[float], list[float]] = [], []
         self.n_bytes = 0.0
 
     def follow(
@@ -182,7 +183,9 @@ class ContactScores:
             self.n_missed[force] += not hit
             if hit:
                 at[contact_id] = int(counts.argmax())
-                self._found(truth, region, contacts, at[contact_id], total)
+                if total >= LEAST:
+                    taxels = regions == at[contact_id] + 1
+                    self._found(truth, region, taxels, contacts, at[contact_id])
                 if contact_id in part.begins:
                     self.delays.append(k - part.begins.pop(contact_id))
         for contact_id in [
@@ -200,25 +203,19 @@ class ContactScores:
         self,
         truth: Floats,
         region: Mask,
+        taxels: Mask,
         contacts: dict[str, Any],
         row: int,
-        total: float,
     ) -> None:
-        if total < LEAST:
-            return
-        forces = np.where(region, truth, np.float32(0)).astype(np.float64)
-        places = np.indices(truth.shape)
-        centre = np.array([(axis * forces).sum() for axis in places]) / forces.sum()
-        self.off.append(float(np.linalg.norm(contacts["centre"][row] - centre)))
-        self.relative.append(abs(float(contacts["total"][row]) / forces.sum() - 1))
-        errors = (
-            contacts["total"][row] - forces.sum(),
-            *(contacts["centre"][row] - centre),
-        )
-        sds = contacts["total_sd"][row], *contacts["centre_sd"][row]
-        for k, (error, sd) in enumerate(zip(errors, sds, strict=True)):
-            if sd > 0:  # 0: the noise is not known, or the contact is one taxel
-                self.in_sd[min(k, 1)].append(float(error / sd))
+        """Count the errors of a contact in a row, of some taxels; the true one is `region`."""
+        errors = _errors(truth, region, contacts, row)
+        self.off.append(math.hypot(*errors[1:]))
+        true_total = float(contacts["total"][row]) - errors[0]
+        self.relative.append(abs(errors[0] / true_total))
+        _count_in_sd(self.in_sd, errors, contacts, row)
+        if truth[taxels].any():
+            own_errors = _errors(truth, taxels, contacts, row)
+            _count_in_sd(self.in_own_sd, own_errors, contacts, row)
 
     def _follow_id(
         self, contact_id: int, number: int, part: _Part, ids: Sequence[int]
@@ -270,10 +267,40 @@ class ContactScores:
             ),
             "total_held": _share_within(total_errors),
             "centre_held": _share_within(centre_errors),
+            "own_total_held": _share_within(self.in_own_sd[0]),
+            "own_centre_held": _share_within(self.in_own_sd[1]),
             "lost": _scaled(1000, self.n_lost, n_followed),
             "swapped": _scaled(1000, self.n_swapped, n_followed),
             "n_bytes": self.n_bytes,
         }
+
+
+def _errors(
+    truth: Floats, region: Mask, contacts: dict[str, Any], row: int
+) -> tuple[float, float, float]:
+    """Errors of a contact's total, newtons, and centre, taxels, by the true forces of a region."""
+    forces = np.where(region, truth, np.float32(0)).astype(np.float64)
+    total = float(forces.sum())
+    down, across = (float((axis * forces).sum()) for axis in np.indices(truth.shape))
+    found_down, found_across = contacts["centre"][row].tolist()
+    return (
+        float(contacts["total"][row]) - total,
+        found_down - down / total,
+        found_across - across / total,
+    )
+
+
+def _count_in_sd(
+    in_sd: tuple[list[float], list[float]],
+    errors: tuple[float, float, float],
+    contacts: dict[str, Any],
+    row: int,
+) -> None:
+    """Add the errors of a total, and of a centre, in their stated deviations."""
+    sds = contacts["total_sd"][row], *contacts["centre_sd"][row]
+    for k, (error, sd) in enumerate(zip(errors, sds, strict=True)):
+        if sd > 0:  # 0: the noise is not known, or the contact is one taxel
+            in_sd[min(k, 1)].append(float(error / sd))
 
 
 def _scaled(scale: float, count: float, of: int) -> float | None:

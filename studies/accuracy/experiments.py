@@ -136,7 +136,10 @@ MARKS = (
     *("flagged", "flagged_wrong", "n_wrong", "flagged_right", "n_right"),
     *("flagged_poor", "n_flagged"),
 )
-ESTIMATES = ("estimate_low", "estimate_median", "estimate_high", "estimate_close")
+ESTIMATES = (
+    *("estimate_low", "estimate_median", "estimate_high", "estimate_close"),
+    "held",
+)
 
 
 class Runs:

@@ -184,6 +184,9 @@ RULES: dict[str, Rule] = {
     "mean of the error's share": _constant(
         "the part of errors in the residual is averaged over frames", share_rate=1
     ),
+    "confirmation": _constant(
+        "a stated error counts so far as new rows confirm it", belief=1e30
+    ),
     "errors of repeats": _patched(
         "repeats lower errors at most as other measurements would",
         (f"{SKIN}.trust", "StatedError._n_repeats", _always(0.0)),

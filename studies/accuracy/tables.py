@@ -283,16 +283,7 @@ def touched(page: Page, rows: pd.DataFrame) -> str:
     )
     rows["frames"] = [*map(_source, of_frames.itertuples())]
     page.csv("contacts", rows.drop(columns=["path"], errors="ignore"))
-    classes = rows.explode(["n_true", "n_missed"])
-    classes["force"] = list(contacts.CLASSES) * len(rows)
-    sums = classes.groupby(["force", "method", "ratio"], sort=False)[
-        ["n_true", "n_missed"]
-    ].sum()
-    sums = sums[sums["n_true"] > 0].reset_index()
-    sums["missed"] = 100 * sums["n_missed"] / sums["n_true"]
-    sums = sums.set_index("force").loc[
-        [c for c in contacts.CLASSES if c in set(sums["force"])]
-    ]
+    sums = _missed(rows)
     keys = ["frames"]
     page.section(
         "Contacts",
@@ -302,7 +293,7 @@ def touched(page: Page, rows: pd.DataFrame) -> str:
         by_ratio(rows, keys, "{delay:.0f} ({delay_95:.0f}), {begun:.0f}"),
         "True contacts that are missed, in % of all in all frames, by their total force in ranges "
         "of a taxel:",
-        by_ratio(sums.reset_index(), ["force"], "{missed:.1f}"),
+        by_ratio(sums, ["force"], "{missed:.1f}"),
         "The same by source:",
         by_ratio(
             rows.assign(missed=100 - rows["found"].astype(float)), keys, "{missed:.1f}"
@@ -317,6 +308,8 @@ def touched(page: Page, rows: pd.DataFrame) -> str:
         by_ratio(rows, keys, "{total_sds:.1f}, {centre_sds:.1f}"),
         "Errors of total and centre within 1.645 stated deviations, of 90, in %:",
         by_ratio(rows, keys, "{total_held:.0f}, {centre_held:.0f}"),
+        "The same, beside the true forces on the taxels of the contact that is published:",
+        by_ratio(rows, keys, "{own_total_held:.0f}, {own_centre_held:.0f}"),
         "Ids lost and swapped, in 1000 frames of a contact:",
         by_ratio(rows, keys, "{lost:.1f}, {swapped:.1f}"),
         least=contacts.LEAST,
@@ -328,6 +321,19 @@ def touched(page: Page, rows: pd.DataFrame) -> str:
     )
     reading = means[RAW].iloc[0]
     return f"Contacts found, mean over the sources: {ours}, {reading:.1f} % in the full reading."
+
+
+def _missed(rows: pd.DataFrame) -> pd.DataFrame:
+    """True contacts that are missed, in %, by class of their force, method and ratio."""
+    classes = rows.explode(["n_true", "n_missed"])
+    classes["force"] = list(contacts.CLASSES) * len(rows)
+    sums = classes.groupby(["force", "method", "ratio"], sort=False)[
+        ["n_true", "n_missed"]
+    ].sum()
+    sums = sums[sums["n_true"] > 0].reset_index()
+    sums["missed"] = 100 * sums["n_missed"] / sums["n_true"]
+    classes_there = [c for c in contacts.CLASSES if c in set(sums["force"])]
+    return sums.set_index("force").loc[classes_there].reset_index()
 
 
 def _source(one: Any) -> str:
@@ -482,6 +488,8 @@ def marks(rows: pd.DataFrame, keys: list[str]) -> tuple[Any, ...]:
         ),
         f"The same: frames within a factor of {CLOSE:g}, in %:",
         by_ratio(rows, keys, "{estimate_close:.0f}"),
+        "True forces of touched taxels within 1.645 standard deviations, of 90, in %:",
+        by_ratio(rows, keys, "{held:.0f}"),
         "\n".join(f"- {line}" for line in marked(rows)),
     )
 

@@ -125,6 +125,7 @@ class SkinEstimator:
         self.common_error.forget()
         self.trust.forget()
         self.error = 0.0
+        self._last_subset: RowSubset | None = None
         self._level = Level()
         self._n_shifts = 0
 
@@ -137,6 +138,9 @@ class SkinEstimator:
         if fingerprint not in self._subsets:
             self._subsets[fingerprint] = RowSubset(self._rows, len(y))
         subset = self._subsets[fingerprint]
+        is_first = self._last_subset is None
+        self._is_new = not is_first and subset is not self._last_subset
+        self._last_subset = subset
         subset.faulty[:] = 0 if faulty is None else faulty
         last_noise = self.noise_level.variance
         comparison, sums = self.vectors.begin(y, subset, self.bias.value, last_noise)
@@ -147,6 +151,7 @@ class SkinEstimator:
         noise = max(last_noise, frame.floor)
         motion = motion_of(sums, noise, self.error**2, self._tuning)
         innovation = self.vectors.predict(motion)
+        self._innovation2 = innovation.mean_square
         noise = self._follow_noise(innovation, frame)
         subset.keep(y, self.vectors.innovation)
         error2 = self.prediction_error.follow(
@@ -255,7 +260,16 @@ class SkinEstimator:
         inherited2 = frame.repeated * min(last_error2, self._noise)
         self.error = math.sqrt(max((1 - part) * error2, inherited2))
         known = self._filtered.n_known / self._rows.n
-        return Fit(steps, settled, part, inherited2, known, frame.n_read / self._rows.n)
+        return Fit(
+            steps,
+            settled,
+            part,
+            inherited2,
+            known,
+            read=frame.n_read / self._rows.n,
+            innovation2=self._innovation2,
+            is_new=self._is_new,
+        )
 
     def _judge(self, fit: Fit, frame: FrameNumbers) -> None:
         """Set the stated error, and whether the estimate is trusted."""
@@ -273,9 +287,8 @@ class SkinEstimator:
         """Noise of the readings of the frame."""
         level = self.noise_level
         if self.noise_model is None:
-            return TaxelNoise(
-                level.bounded(level.variance), missing=0.0, is_stated=False
-            )
+            variance = level.bounded(level.variance)
+            return TaxelNoise(variance, missing=0.0, is_stated=False, trust=level.trust)
         stated = self.vectors.mean_variance(settled.forces, self.noise_model)
         variance = min(stated, level.variance)
         # Gates keep or drop: the noise that the residual lacks is in the estimate.

@@ -2,18 +2,13 @@
 
 from __future__ import annotations
 
-from types import MappingProxyType
-
 import numpy as np
 
 from sparseskin.nodes.compressor.phi.base import (
-    RANDOM,
-    SUMS,
     Phi,
     block_layout,
     phi_fact,
 )
-from sparseskin.nodes.compressor.phi.rotation import FIXED, ROTATING
 from sparseskin.nodes.errors import SolverError
 from sparseskin.nodes.numerics.arrays import Floats, Mask, shared
 from sparseskin.nodes.numerics.compiled import use_compiled
@@ -80,12 +75,7 @@ class SkinSolver(CountsTiles):
     )
     has_loops = True
     uses_blas = True
-    calibrated = MappingProxyType(
-        {
-            SUMS: {FIXED: (1.19, 0.24), ROTATING: (1.29, 0.26)},
-            RANDOM: {FIXED: (0.77, 0.73), ROTATING: (1.29, 0.28)},
-        }
-    )
+    calibrated = (1.33, 0.4)
     rotates = True
     paces = (1, 3, 5, 8, 12, 16, 24)
     #: The sum of squares of larger ones could overflow float32.

@@ -23,6 +23,8 @@ class Fit(NamedTuple):
     inherited2: float  # squared error that repeated measurements leave as it was
     known: float  # part of the rows that was ever read
     read: float  # part of the rows that this frame has read
+    innovation2: float = 0.0  # mean squared innovation of the rows read
+    is_new: bool = False  # True if the last frame has not read these rows
 
     @property
     def distance2(self) -> float:
@@ -40,6 +42,12 @@ class TaxelNoise(NamedTuple):
     variance: float  # mean variance of a reading
     missing: float  # what the residual lacks of it
     is_stated: bool
+    trust: float = 1.0  # part of a variance that is not stated which counts as noise
+
+    @property
+    def at_least(self) -> float:
+        """The part of the variance that is no motion."""
+        return self.variance if self.is_stated else self.trust * self.variance
 
 
 def estimate_error2(
@@ -61,13 +69,19 @@ def estimate_error2(
     return share * excess + (1 - share) * (optimism * steps.expected2)
 
 
-class StatedError:
-    """Estimated RMS error of a taxel, for those who use the forces.
+class Confirmation:
+    """Part of a stated squared error that rows confirm which took no part in it, 0 to 1.
 
-    Attributes
-    ----------
-    value : float
-        That of the last frame.
+    Rows that the last frame has not read are the only measurements that the last estimate does not
+    know. Their squared innovation less the noise is its squared error and that of the motion since:
+    it shows an error that is stated too large, never one that is too small. The part follows by
+    ridge regression; frames count by the inverse variance of their mean square.
+
+    Notes
+    -----
+    Source: an online recalibration of intervals by their own residuals, as in Gibbs, Candes,
+    "Adaptive conformal inference under distribution shift", NeurIPS 2021 (arXiv 2106.00170); by
+    least squares in place of counts, which show nothing of errors far below the noise.
     """
 
     def __init__(self, tuning: SkinTuning) -> None:
@@ -76,12 +90,64 @@ class StatedError:
 
     def forget(self) -> None:
         """Begin anew, as if no frame had been measured."""
+        self.part = 1.0
+        self._products = 0.0
+        self._squares = 0.0
+
+    def follow(
+        self, stated2: float, innovation2: float, noise: float, n_read: int
+    ) -> None:
+        """Update the part by n_read new rows: the squared error that was stated of such a row, the
+        mean square of their innovation, and the noise variance.
+        """
+        shown2 = max(innovation2 - noise, 0.0)
+        memory = 1 - self._tuning.share_rate
+        # A mean square of n numbers of variance v has the variance 2 v^2 / n.
+        weight = n_read / 2 / ((stated2 + noise) ** 2 + TINY)
+        self._products = memory * self._products + weight * shown2 * stated2
+        self._squares = memory * self._squares + weight * stated2 * stated2
+        ridge = self._tuning.belief
+        self.part = min((self._products + ridge) / (self._squares + ridge), 1.0)
+
+
+class StatedError:
+    """Estimated RMS error of a taxel, for those who use the forces.
+
+    Attributes
+    ----------
+    value : float
+        That of the last frame, so far as it is confirmed.
+    """
+
+    def __init__(self, tuning: SkinTuning) -> None:
+        self._tuning = tuning
+        self._confirmation = Confirmation(tuning)
+        self.forget()
+
+    def forget(self) -> None:
+        """Begin anew, as if no frame had been measured."""
         self.value = 0.0
+        self._last2 = 0.0  # square of the last error, before it is confirmed
         self._share = 1.0  # of errors in the squared distance from the readings
         self._n_repeats = 0.0
+        self._confirmation.forget()
 
     def follow(self, fit: Fit, noise: TaxelNoise, frame: FrameNumbers) -> float:
-        """Update the error; return its square."""
+        """Update the error; return its square before it is confirmed."""
+        if fit.is_new:
+            # All of the last error was in rows that its frame had not read.
+            of_row2 = self._last2 / max(1 - fit.read, TINY)
+            self._confirmation.follow(
+                of_row2, fit.innovation2, noise.at_least, frame.n_read
+            )
+
+        error2 = self._unconfirmed(fit, noise, frame)
+        self._last2 = error2
+        self.value = math.sqrt(self._confirmation.part * error2)
+        return error2
+
+    def _unconfirmed(self, fit: Fit, noise: TaxelNoise, frame: FrameNumbers) -> float:
+        """The squared error by the rows of the frame alone."""
         tuning = self._tuning
         error2 = estimate_error2(
             fit.steps,
@@ -106,11 +172,8 @@ class StatedError:
         if fit.known < 1 - UNREAD:
             again = frame.repeated
         self._n_repeats = again * (self._n_repeats + 1)
-        least = again * self.value**2 * self._n_repeats / (self._n_repeats + 1)
-
-        error2 = max(error2, fit.inherited2, noise.missing, least)
-        self.value = math.sqrt(error2)
-        return error2
+        least = again * self._last2 * self._n_repeats / (self._n_repeats + 1)
+        return max(error2, fit.inherited2, noise.missing, least)
 
 
 class CommonError:

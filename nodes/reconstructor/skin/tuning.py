@@ -87,6 +87,9 @@ class SkinTuning:
     optimism: float = 2.0
     #: Rate per frame of the part of the squared distance from the readings that is error of forces.
     share_rate: float = 0.5
+    #: Belief in a stated squared error, beside that in rows which confirm it: the inverse of its
+    #: relative variance. Chosen on drawn worlds, presses and scenes.
+    belief: float = 15.0
     #: Largest noise variance, in the least one so far: of measurements; and of a pressed taxel.
     #: Derived: the second is 58 by the noise of the paper, clipped at 0.
     louder: float = 4.0

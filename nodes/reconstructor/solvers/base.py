@@ -5,7 +5,7 @@ from __future__ import annotations
 import inspect
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
@@ -96,9 +96,8 @@ class Solver(ABC):
     uses_blas: bool = False
     #: True if it has compiled loops, which are compiled before the first frame.
     has_loops: bool = False
-    #: Factor and power of `Uncertainty` by rule of the rows, and "fixed" or "rotating"; None: its
-    #: error is not known.
-    calibrated: Mapping[int, Mapping[str, tuple[float, float]]] | None = None
+    #: Factor and power of the error that a residual shows, as of `Uncertainty`; None: none.
+    calibrated: tuple[float, float] | None = None
     #: Estimated RMS error of a taxel of the last frame, in the unit of the forces; None where the
     #: solver does not estimate it.
     error: float | None = None

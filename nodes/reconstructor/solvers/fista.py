@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 import math
-from types import MappingProxyType
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from sparseskin.nodes.compressor.phi.base import RANDOM, SUMS, Phi, block_layout
-from sparseskin.nodes.compressor.phi.rotation import FIXED, ROTATING
+from sparseskin.nodes.compressor.phi.base import Phi, block_layout
 from sparseskin.nodes.numerics.arrays import Floats, Mask
 from sparseskin.nodes.numerics.compiled import use_compiled
 from sparseskin.nodes.reconstructor.bases.base import Basis
@@ -145,12 +143,7 @@ class FistaSolver(Solver):
     lambdas_n = (0.0006, 0.015)
     least_iterations = 15
     has_loops = True
-    calibrated = MappingProxyType(
-        {
-            SUMS: {FIXED: (1.58, 0.72), ROTATING: (1.87, 0.5)},
-            RANDOM: {FIXED: (1.55, 0.8), ROTATING: (1.55, 0.8)},
-        }
-    )
+    calibrated = (1.33, 0.4)
 
     def __init__(
         self,

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from pressed import noisy, sliding_disc
 
-from sparseskin.messages import PhiState, Reason
+from sparseskin.messages import Reason
 from sparseskin.nodes.compressor.phi.base import make_phi
 from sparseskin.nodes.compressor.phi.rotation import row_subsets
 from sparseskin.nodes.reconstructor import patch as patches
@@ -27,22 +27,6 @@ SKIN |= {"sigma_mid": NOISE.sigma_mid, "sigma_end": NOISE.sigma_end}
 FRAMES = noisy(sliding_disc(SHAPE, 20, touch_at=3))
 
 
-def announced(phi, rows="fixed"):
-    """The message of a compressor with that Phi."""
-    return PhiState(
-        stamp_ns=0,
-        patch="skin",
-        kind="sbhe",
-        n=phi.n,
-        m=phi.m,
-        block=32,
-        seed=0,
-        fingerprint=phi.fingerprint,
-        rows=rows,
-        rule=phi.rule,
-    )
-
-
 class Bench:
     """A patch and the row subsets of its Phi."""
 
@@ -54,10 +38,7 @@ class Bench:
         self.patch = Patch(settings, self.lines.append)
         self.subsets = row_subsets(phi, rows)
         state = skin_state(**SKIN | (skin or {}))
-        announcement = announced(self.subsets[0], rows)
-        self.stated = self.patch.set_up(
-            settings, self.subsets, state, announcement, live, alike
-        )
+        self.stated = self.patch.set_up(settings, self.subsets, state, live, alike)
         self.patch.set_noise(state)
         self.n_frames = 0
 
@@ -388,7 +369,7 @@ def test_another_solver_in_the_middle_of_a_stream_begins_with_the_last_forces():
     settings = ReconstructorSettings(
         solver="fista", basis="haar", iterations=1, fast="off"
     )
-    bench.patch.set_up(settings, [PHI], skin_state(**SKIN), announced(PHI), live=False)
+    bench.patch.set_up(settings, [PHI], skin_state(**SKIN), live=False)
     after = bench.frame(FRAMES[-1])
     change = np.linalg.norm(after.forces - before.forces)
     assert change < 0.2 * np.linalg.norm(before.forces)
@@ -417,7 +398,7 @@ def test_contacts_keep_their_ids_where_the_solver_is_made_anew():
         before = bench.patch.contacts(10_000_000 * k)
     settings = ReconstructorSettings(fast="off", contacts=True)
     state = skin_state(**SKIN)
-    bench.patch.set_up(settings, [PHI], state, announced(PHI), live=False)
+    bench.patch.set_up(settings, [PHI], state, live=False)
     bench.patch.set_noise(state)
     for k in range(8):
         bench.frame(FRAMES[-1])

@@ -2,6 +2,8 @@
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 from pressed import noisy
 from watched import DESK_SHAPE as SHAPE
 from watched import Desk, N
@@ -10,15 +12,17 @@ from sparseskin.messages import Reconstruction, decode, encode
 from sparseskin.nodes.compressor.phi.base import BLOCK, RANDOM, SUMS, make_phi
 from sparseskin.nodes.compressor.phi.rotation import PAPER_BLOCK
 from sparseskin.nodes.reconstructor.bases.base import make_basis
-from sparseskin.nodes.reconstructor.estimates.uncertainty import Uncertainty
+from sparseskin.nodes.reconstructor.estimates.uncertainty import SCALE, Uncertainty
 from sparseskin.nodes.reconstructor.settings import PRESETS
 from sparseskin.nodes.reconstructor.skin.solver import SkinSolver
 from sparseskin.nodes.reconstructor.solvers.base import make_solver, solver_class
+from sparseskin.nodes.sensor.noise import NoiseModel
 from sparseskin.studies.presses import press_frames
 
+CALIBRATED = SkinSolver.calibrated
 #: Moving bodies that the constants were not fitted on, and how much of them is held at least and
-#: at most. Smooth contacts are better than they show; small ones with an edge are worse.
-HELD = {"plate": (0.85, 0.97), "peg": (0.75, 0.96), "gaussian": (0.9, 1.0)}
+#: at most.
+HELD = {"plate": (0.85, 0.97), "peg": (0.8, 0.97), "gaussian": (0.85, 1.0)}
 
 
 def held(preset, body):
@@ -32,16 +36,18 @@ def held(preset, body):
     block, rule = (PAPER_BLOCK, RANDOM) if preset == "paper" else (BLOCK, SUMS)
     phi = make_phi("sbhe", n, n // 3, 0, block, rule)
     solver = make_solver(name, phi, make_basis(chosen["basis"], *shape))
-    uncertainty = Uncertainty(
-        solver.mask, phi.ratio, solver_class(name).calibrated, rule=rule
-    )
+    # As a graph states the noise; otherwise a peg with fixed rows holds less, as its error is low.
+    noise = NoiseModel()
+    solver.noise_model = noise
+    solver.noise_sd = noise.sigma_end
+    calibrated = solver_class(name).calibrated
+    uncertainty = Uncertainty(solver.mask, phi.ratio, calibrated)
     within = np.zeros(truth.shape, np.bool_)
     for k, y in enumerate(phi.forward(noisy(truth).reshape(-1, n))):
         forces = solver.solve(y)
         residual = float(np.sqrt(np.mean((phi.forward(forces.reshape(-1)) - y) ** 2)))
-        within[k] = np.abs(forces - truth[k]) <= 1.645 * uncertainty.update(
-            forces, residual
-        )
+        sd = uncertainty.of(forces, residual, solver.error)
+        within[k] = np.abs(forces - truth[k]) <= 1.645 * sd
     touched = truth > 0.01
     return float(within[touched].mean()), float(within[~touched].mean())
 
@@ -57,21 +63,43 @@ def test_bands_hold_nine_tenths_of_the_touched_taxels_of_a_press(preset, body):
     assert untouched > 0.98
 
 
-def test_deviations_scale_with_the_range_of_the_skin_and_are_0_without_a_taxel():
-    frames = np.random.default_rng(0).uniform(0, 1, (5, 9, 7)).astype(np.float32)
+@pytest.mark.parametrize("error", [0.02, None])
+def test_deviations_scale_with_the_range_of_the_skin_and_are_0_without_a_taxel(error):
     mask = np.ones((9, 7), np.bool_)
     mask[2, 3] = False
-    small, large = (Uncertainty(mask, 3.0, SkinSolver.calibrated) for _ in range(2))
-    for frame in frames:
-        sd = small.update(frame, 0.02)
-        assert sd[2, 3] == 0
-        np.testing.assert_allclose(
-            large.update(1000 * frame, 20.0), 1000 * sd, rtol=1e-4
-        )
+    frame = mask * np.random.default_rng(0).uniform(0, 1, (9, 7)).astype(np.float32)
+    uncertainty = Uncertainty(mask, 3.0, CALIBRATED)
+    sd = uncertainty.of(frame, 0.02, error)
+    assert sd[2, 3] == 0
+    large = uncertainty.of(1000 * frame, 20.0, error and 1000 * error)
+    np.testing.assert_allclose(large, 1000 * sd, rtol=1e-4)
 
 
-def deviations_by_definition(frame, r, factor):
-    """Standard deviations of a first frame, taxel by taxel: no mean of frames is there yet."""
+@given(
+    error=st.floats(1e-6, 10.0),
+    shape=st.tuples(st.integers(1, 9), st.integers(1, 9)),
+    seed=st.integers(0, 99),
+)
+def test_squared_deviations_add_up_to_the_squared_error(error, shape, seed):
+    frame = np.random.default_rng(seed).uniform(0, 1, shape).astype(np.float32)
+    sd = Uncertainty(np.ones(shape, np.bool_), 3.0, CALIBRATED).of(frame, 0.0, error)
+    assert sd.dtype == np.float32
+    assert (sd > 0).all()
+    assert np.mean(np.square(sd, dtype=np.float64)) == pytest.approx(
+        (SCALE * error) ** 2, rel=1e-4
+    )
+
+
+def test_without_an_estimated_error_it_is_that_which_the_residual_shows():
+    frame = np.random.default_rng(0).uniform(0, 1, (9, 7)).astype(np.float32)
+    uncertainty = Uncertainty(np.ones((9, 7), np.bool_), 4.0, (1.5, 0.5))
+    np.testing.assert_allclose(
+        uncertainty.of(frame, 0.02, None), uncertainty.of(frame, 0.0, 0.06)
+    )
+
+
+def deviations_by_definition(frame, error):
+    """Standard deviations, taxel by taxel."""
     x = frame.astype(np.float64)
     edged = np.pad(x, ((0, 1), (0, 1)), mode="edge")
     both = np.abs(edged[1:, :-1] - x) + np.abs(edged[:-1, 1:] - x)
@@ -79,21 +107,16 @@ def deviations_by_definition(frame, r, factor):
     g = np.zeros_like(x)
     for row, col in np.ndindex(x.shape):
         g[row, col] = around[row : row + 3, col : col + 3].mean()
-    p = (0.2 * x**2 + 0.03 * r**2) / (x + 0.3 * r)
-    return factor * np.sqrt(r * np.sqrt(p * np.sqrt(g**2 + r**2)))
+    q = np.sqrt(g**2 + error**2)
+    return SCALE * error * np.sqrt(q / q.mean())
 
 
-def test_the_first_frame_is_the_definition_on_all_edges_of_the_skin():
+def test_a_frame_has_the_deviations_of_the_definition_on_all_edges_of_the_skin():
     frame = np.random.default_rng(0).uniform(0, 0.01, (9, 7)).astype(np.float32)
     frame[:3, :2] += 0.5
     frame[6:, 4:] += 0.5
-    factor, power = SkinSolver.calibrated[SUMS]["fixed"]
-    sd = Uncertainty(np.ones((9, 7), np.bool_), 3.0, SkinSolver.calibrated).update(
-        frame, 0.02
-    )
-    expected = deviations_by_definition(frame, 0.02, factor * 3.0**power)
-    assert (sd > 0).all()
-    np.testing.assert_allclose(sd, expected, rtol=1e-4)
+    sd = Uncertainty(np.ones((9, 7), np.bool_), 3.0, CALIBRATED).of(frame, 0.0, 0.02)
+    np.testing.assert_allclose(sd, deviations_by_definition(frame, 0.02), rtol=1e-4)
 
 
 def reconstructed(**settings):

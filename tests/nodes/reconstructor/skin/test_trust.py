@@ -18,6 +18,7 @@ from sparseskin.nodes.reconstructor.skin.prediction import (
 from sparseskin.nodes.reconstructor.skin.row_subset import FrameNumbers
 from sparseskin.nodes.reconstructor.skin.trust import (
     CommonError,
+    Confirmation,
     Fit,
     StatedError,
     TaxelNoise,
@@ -210,6 +211,85 @@ def test_measurements_that_repeat_lower_an_error_of_rows_that_are_never_read_slo
     )
     expected2 = before2 / 2 if is_kept else 0.0
     assert after2 == pytest.approx(expected2, abs=1e-12)
+
+
+# What new rows confirm.
+
+
+def confirmed(stated2, shown2, noise, n_frames, n_read=M):
+    confirmation = Confirmation(TUNING)
+    for _ in range(n_frames):
+        confirmation.follow(stated2, shown2 + noise, noise, n_read)
+    return confirmation.part
+
+
+@given(
+    part=st.floats(0.0, 1.0),
+    noise=st.floats(0.0, 10.0),
+    n_frames=st.integers(1, 60),
+    n_read=st.integers(8, 2000),
+)
+def test_the_part_of_an_error_that_new_rows_confirm_is_that_of_a_ridge_regression(
+    part, noise, n_frames, n_read
+):
+    stated2 = 2.0
+    kept = 1 - TUNING.share_rate
+    n_effective = (1 - kept**n_frames) / (1 - kept)
+    information = n_effective * n_read / 2 * (stated2 / (stated2 + noise)) ** 2
+    expected = (part * information + TUNING.belief) / (information + TUNING.belief)
+    shown = confirmed(stated2, part * stated2, noise, n_frames, n_read)
+    assert shown == pytest.approx(expected, rel=1e-6)
+
+
+@given(factor=st.floats(0.01, 1.0))
+def test_of_many_rows_whose_residuals_are_a_part_of_those_stated_that_part_is_found(
+    factor,
+):
+    part = confirmed(1.0, factor**2, 0.0, 30, n_read=10**7)
+    assert math.sqrt(part) == pytest.approx(factor, rel=1e-2)
+
+
+@given(motion=POSITIVE)
+def test_a_motion_never_makes_an_error_larger(motion):
+    assert confirmed(1.0, 1.0 + motion, 0.1, 5) == 1.0
+
+
+def test_errors_far_below_the_noise_stay_as_they_are_stated():
+    assert confirmed(1e-6, 0.0, 1.0, 60) == pytest.approx(1.0, abs=1e-3)
+
+
+@given(seed=st.integers(0, 99))
+def test_what_is_confirmed_follows_from_the_frames_alone(seed):
+    rng = np.random.default_rng(seed)
+    numbers = rng.exponential(1.0, (20, 3)).tolist()
+    parts = []
+    for _ in range(2):
+        confirmation = Confirmation(TUNING)
+        for stated2, innovation2, noise in numbers:
+            confirmation.follow(stated2, innovation2, noise, M)
+        parts.append(confirmation.part)
+    assert parts[0] == parts[1]
+    assert 0 < parts[0] <= 1
+
+
+def test_rows_of_the_last_frame_confirm_nothing_and_new_ones_lower_the_error():
+    noise = TaxelNoise(1e-9, 0.0, is_stated=True)
+    steps = Steps(0.25, 0.0)
+    values = []
+    for is_new in (False, True):
+        stated = StatedError(TUNING)
+        for _ in range(20):
+            of_frame = fit(steps, read=0.25, residual2=1.0, left_out2=1.0)
+            of_frame = of_frame._replace(is_new=is_new, innovation2=1e-3)
+            error2 = stated.follow(of_frame, noise, frame())
+        values.append(stated.value**2 / error2)
+    assert values[0] == pytest.approx(1.0)
+    assert values[1] < 0.5
+
+
+def test_noise_that_is_not_stated_may_be_motion_so_far_as_it_is_not_trusted():
+    assert TaxelNoise(4.0, 0.0, is_stated=True, trust=0.25).at_least == 4.0
+    assert TaxelNoise(4.0, 0.0, is_stated=False, trust=0.25).at_least == 1.0
 
 
 # Noise level.
