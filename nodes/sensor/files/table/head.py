@@ -126,15 +126,25 @@ def read_head(file: File) -> TableHead:
         head.source = source_column(head, layout, data, file.name)
     if head.source is not None:
         data = [line for line in data if line.cells[head.source] == layout.frame_id]
-    if head.dialect.has_decimal_comma:
-        head.notes += ("commas are decimal points",)
-
-    # The lines of a block have no times of their own.
     _rate(head, raw, data[0].number)
+    _find_times(head, layout, raw, data, file.name)
+    _note_texts(head)
+    return head
+
+
+def _find_times(
+    head: TableHead,
+    layout: Layout,
+    raw: list[tuple[int, str]],
+    data: Sequence[Line],
+    name: str,
+) -> None:
+    """Find the columns of the times, and those that are left."""
+    # The lines of a block have no times of their own.
     if head.kind == GRID:
-        _ask_for_titles(head, layout, raw, file.name, data[0].number)
+        _ask_for_titles(head, layout, raw, name, data[0].number)
     else:
-        head.time = time_column(head, layout, data, file.name)
+        head.time = time_column(head, layout, data, name)
     if head.time is not None:
         head.nanoseconds = nanoseconds_beside(head, head.time)
         head.time_unit = unit_of_column(head, data, layout)
@@ -142,15 +152,15 @@ def read_head(file: File) -> TableHead:
         head.time,
         head.nanoseconds,
         head.source,
-        *counters(head, layout, data, file.name),
+        *counters(head, layout, data, name),
     )
     head.usable = tuple(k for k in head.numeric if k not in no_taxels)
-    _note_texts(head)
-    return head
 
 
 def _note_texts(head: TableHead) -> None:
-    """Note the columns that hold no numbers and no times."""
+    """Note decimal commas, and the columns that hold no numbers and no times."""
+    if head.dialect.has_decimal_comma:
+        head.notes += ("commas are decimal points",)
     texts = [k for k in range(head.width) if k not in head.numeric and k != head.time]
     if texts:
         labels = ", ".join(head.label(k) for k in texts[:MAX_SHOWN])
@@ -572,6 +582,6 @@ def _long_columns(
         if not all(map(str.isdecimal, cells)):
             return None
         numbers = list(map(int, cells))
-        first = min(numbers)
-        places.append(Place(column, first, size or max(numbers) - first + 1))
+        begin = min(numbers)
+        places.append(Place(column, begin, size or max(numbers) - begin + 1))
     return LongColumns(frame, tuple(places), value)

@@ -199,7 +199,7 @@ class TestTimes:
 
     def test_of_several_none_is_chosen(self, tmp_path):
         raw = npz(pad=FORCES, time=self.T, stamps=self.T)
-        ways = "state time=time, time=stamps or time=none"
+        ways = "state time=time or time=stamps or time=none"
         with pytest.raises(SourceError, match=ways):
             open_bytes(tmp_path, "a.npz", raw)
         stamps = open_bytes(tmp_path, "a.npz", raw, time="none").stamp_ns
