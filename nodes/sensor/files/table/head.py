@@ -393,13 +393,18 @@ def _are_labels(cells: Sequence[str], later: Sequence[Line]) -> bool:
     if not labels or not all(map(is_number, labels)) or not _rises(labels):
         return False
     rows = [line.cells[begin : len(cells)] for line in later]
-    n_decimals = _decimals(labels)
     are_whole_below = not any(map(_decimals, rows))
     if are_whole_below and all("." in label for label in labels):
         return True
-    is_formed = not any(_decimals(row) == n_decimals for row in rows)
-    if is_formed and len(rows) >= FORMED <= len(labels):
-        return True
+    if len(rows) >= FORMED <= len(labels):
+        # A time at an end of the lines has a form of its own.
+        parts_of_line = (slice(None), slice(1, None), slice(None, -1))
+        if not any(
+            _decimals(row[part]) == _decimals(labels[part])
+            for row in rows
+            for part in parts_of_line
+        ):
+            return True
 
     # Frames of a test pattern go on so, perhaps beside their time.
     parts = [part for row in rows for part in (row, row[1:], row[:-1])]

@@ -231,3 +231,16 @@ def test_a_column_that_counts_may_be_the_times(tmp_path):
         source = read(tmp_path, text, (1, 3), time_unit="s", **stated)
         np.testing.assert_array_equal(source.frames, frames)
         np.testing.assert_allclose(source.stamp_ns / 1e9, np.arange(5) * period_s)
+
+
+@pytest.mark.parametrize("end", ["first", "last"])
+def test_a_first_frame_at_a_whole_time_is_a_frame(tmp_path, end):
+    frames = readings_of(6, (1, 3), 1)
+    frames[0] = [[20, 30, 45]]
+    lines = []
+    for k, line in enumerate(lines_of(frames)):
+        time = f"{10 + 50 * (end == 'last') + k / 8:g}"
+        cells = [time, line] if end == "first" else [line, time]
+        lines.append(",".join(cells))
+    source = read(tmp_path, "\n".join(lines) + "\n", (1, 3), time=end, time_unit="s")
+    np.testing.assert_array_equal(source.frames, frames)
