@@ -51,9 +51,11 @@ EVEN = 4
 """Least length of a line with even steps, as 0, 1, 2, ..., that is a header. Chosen: of readings up
 to 10 one frame in 10,000 reads so."""
 RISING = 8
-"""The same of a line that rises. Derived: one of 40,000 random frames does."""
-FORMED = 3
-"""The same of one that rises and has another number of decimals than all lines below. Chosen."""
+"""Least length of a line that is asked about if it rises. Derived: one of 40,000 random frames
+does."""
+FORMED = 4
+"""The same of one that rises and has another number of decimals than all lines below, and least
+number of these. Chosen."""
 RATE_LINE = re.compile(
     r"\W*([A-Za-z][A-Za-z_ ()\[\]]*?)\W*(\d*\.?\d+)\s*((?:1/)?[A-Za-z/]*)[\s\",;]*"
 )
@@ -110,7 +112,7 @@ def read_head(file: File) -> TableHead:
     # Width, names, and where the data begin.
     head = _sized(dialect, lines)
     lines = [line for line in lines if len(line.cells) in _widths(head)]
-    data = _headed(head, lines, raw, n_skipped, layout)
+    data = _headed(head, lines, raw, n_skipped, file)
     if not data:
         raise SourceError(f"{file.name}: the recording holds no frame")
     head.n_before = data[0].number - 1
@@ -262,7 +264,7 @@ def _headed(
     lines: list[Line],
     raw: list[tuple[int, str]],
     n_skipped: int,
-    layout: Layout,
+    file: File,
 ) -> list[Line]:
     """The lines of data; the head learns the names before them."""
     head.names = ("",) * head.width
@@ -276,9 +278,15 @@ def _headed(
     cells = begin.cells[: head.width]
     later = lines[1:] or lines[:1]
     is_labelled = len(lines) > 1 and _are_labels(cells, later)
-    # Above lines of taxels, numbers are the times.
-    if is_labelled and layout.axis_names[:1] == ("taxels",):
-        is_labelled = _counts_columns(cells)
+    if file.layout.axis_names:
+        # It is stated what a line is: above lines of taxels, numbers are the times.
+        is_labelled = is_labelled and _counts_columns(cells)
+    elif len(lines) > 1 and not is_labelled and _alone_rises(cells, later):
+        fault = f"line {begin.number} rises, as none below"
+        ways = (
+            "state skip if it labels the columns, axes=frames,taxels if it is a frame"
+        )
+        raise UnstatedError(f"{file.name}: {fault}: {ways}")
     if is_labelled or (len(lines) > 1 and _is_header(cells, later)):
         # Positions are no names: their digits count nothing.
         if not is_labelled or _counts_columns(cells):
@@ -407,10 +415,17 @@ def _are_labels(cells: Sequence[str], later: Sequence[Line]) -> bool:
             return True
 
     # Frames of a test pattern go on so, perhaps beside their time.
-    parts = [part for row in rows for part in (row, row[1:], row[:-1])]
-    if _is_even(labels) and (len(labels) >= EVEN or begin):
-        return not any(map(_is_even, parts))
-    return len(labels) >= RISING and not any(map(_rises, parts))
+    if not _is_even(labels) or not (len(labels) >= EVEN or begin):
+        return False
+    return not any(_is_even(part) for row in rows for part in (row, row[1:], row[:-1]))
+
+
+def _alone_rises(cells: Sequence[str], later: Sequence[Line]) -> bool:
+    """True if a long line of numbers rises, and no line below does, perhaps beside its time."""
+    if len(cells) < RISING or not _rises(cells):
+        return False
+    rows = [line.cells[: len(cells)] for line in later]
+    return not any(_rises(part) for row in rows for part in (row, row[1:], row[:-1]))
 
 
 def _numbers(cells: Sequence[str]) -> npt.NDArray[np.float64]:
