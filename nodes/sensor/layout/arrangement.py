@@ -194,7 +194,10 @@ def _ask_for_one(layout: Layout, axes: Sequence[Axis], n_long: int, where: str) 
     ends = (axes[0].size, axes[-1].size)
     if n_long == 2 and len(XYZ) in ends and not is_stated:
         fault = f"an item is {_sides(axes)}, of {len(XYZ)} numbers per taxel or one"
-        raise UnstatedError(f"{where}: {fault}: state n_rows and n_cols, or axes")
+        is_last = axes[-1].size == len(XYZ)
+        ways = ["rows,cols", "taxels,channel" if is_last else "channel,taxels"]
+        otherwise = "n_rows and n_cols"
+        raise UnstatedError.between(f"{where}: {fault}", "axes", ways, otherwise)
 
 
 def _channel_axis(layout: Layout, axes: list[Axis], where: str) -> int | None:
