@@ -26,7 +26,7 @@ from sparseskin.nodes.sensor.calibration.fit import (
     read_area,
     read_load,
 )
-from sparseskin.nodes.sensor.doubt import line_on_sign
+from sparseskin.nodes.sensor.doubt.doubt import line_on_sign
 from sparseskin.nodes.sensor.files.file_source import open_file
 from sparseskin.nodes.sensor.layout.layout import Layout
 from sparseskin.nodes.sensor.raw_frames import (

@@ -26,7 +26,7 @@ from sparseskin.nodes.numerics.arrays import Floats
 from .calibration.chain import Chain
 from .calibration.description import Placement, SkinDescription, of_skin
 from .calibration.drift import DRIFT_RATE
-from .doubt import Doubt
+from .doubt.doubt import Doubt
 from .layout.checks import spelled
 from .layout.layout import MASK
 from .missing import MissingReadings

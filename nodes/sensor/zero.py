@@ -11,7 +11,7 @@ from sparseskin.nodes.errors import SettingsError
 from sparseskin.nodes.numerics.arrays import Floats
 
 from .calibration.chain import MAX_TARE_FRAMES
-from .doubt import Doubt
+from .doubt.doubt import Doubt
 
 
 class Zero:

@@ -19,7 +19,7 @@ from sparseskin.nodes.recorder.node import metadata_of
 from sparseskin.nodes.sensor.calibration.chain import Chain
 from sparseskin.nodes.sensor.calibration.description import of_skin
 from sparseskin.nodes.sensor.calibration.drift import DRIFT_RATE
-from sparseskin.nodes.sensor.doubt import Doubt
+from sparseskin.nodes.sensor.doubt.doubt import Doubt
 from sparseskin.nodes.sensor.files.file_source import RecordedSource, open_file
 from sparseskin.nodes.sensor.files.survey import Needs
 from sparseskin.nodes.sensor.layout.layout import EMPTY, KEEP, Layout

@@ -317,11 +317,14 @@ def _decided(
 
 
 def _first_is_plausible(sides: Sequence[int]) -> bool:
-    """True if the first axis is longer than the others, or these are one, or a square."""
+    """True if the first axis is longer than the others, or these are one, or a square, of another
+    side.
+    """
     item_sides = [side for side in sides[1:] if side > 1]
     is_square = len(item_sides) == 2 and item_sides[0] == item_sides[1] != sides[0]
     is_longest = all(side < sides[0] for side in item_sides)
-    return is_longest or len(item_sides) == 1 or is_square
+    is_list = len(item_sides) == 1 and item_sides[0] != sides[0]
+    return is_longest or is_list or is_square
 
 
 def _axes_text(array: ArrayShape, way: _Way) -> str:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import shlex
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -53,8 +54,10 @@ class UnstatedError(SourceError):
         cls, fault: str, key: str, values: Sequence[Any], otherwise: str = ""
     ) -> UnstatedError:
         """The error that one of several values of a key is to be stated, and what else can be."""
-        shown = [f"{key}={printable(str(value))}" for value in values[:MAX_WAYS]]
-        ways = " or ".join([*shown, *filter(None, [otherwise])])
+        # In quotes where a name has spaces, as the shell and `add` have it.
+        texts = [shlex.quote(printable(str(value))) for value in values[:MAX_WAYS]]
+        settings = [f"{key}={text}" for text in texts]
+        ways = " or ".join([*settings, *filter(None, [otherwise])])
         if len(values) > MAX_WAYS:
             ways += ", ..."
         return cls(f"{fault}: state {ways}", *({key: value} for value in values))

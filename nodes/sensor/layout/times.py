@@ -24,7 +24,7 @@ NS |= {"min": 60 * 10**9, "h": 3600 * 10**9, "d": 86_400 * 10**9}
 """Nanoseconds of each unit. Stamps of ISO 8601 and times of day are read as nanoseconds."""
 TIME_NAME = re.compile(
     r"[%_\s]*(?:field\.|header[._])*(t|ts|times?|times?_?stamps?|stamps?|date|date_?time|elapsed"
-    r"|secs?|seconds|millis|micros|epoch|clock|time_?steps?)(?![a-z0-9])"
+    r"|secs?|seconds|millis|micros|epoch|clock|time_?steps?)(?![a-z0-9])|[mnuµ]s\s*$"
 )
 """Begin of the name of a column or array of times, in small letters."""
 UNIT_NAME = re.compile(

@@ -35,7 +35,7 @@ def test_columns_are_shown_where_the_times_are_not_clear(tmp_path, monkeypatch, 
     shown = capsys.readouterr()
     assert "4 columns" in shown.out
     assert (
-        "state --time 1, --time 2 or, if these are no times, --time none" in shown.err
+        "state --time 1 or --time 2 or --time none, if these are no times" in shown.err
     )
 
 

@@ -18,8 +18,8 @@ from sparseskin.nodes.node import Context, Tick
 from sparseskin.nodes.recorder.bag.reader import BagReader
 from sparseskin.nodes.sensor.calibration.chain import TARE_FRAMES, Chain
 from sparseskin.nodes.sensor.calibration.description import SkinDescription
+from sparseskin.nodes.sensor.doubt.rest import Rest
 from sparseskin.nodes.sensor.node import Sensor
-from sparseskin.nodes.sensor.rest import Rest
 from sparseskin.nodes.sensor.saturation import Clipped
 from sparseskin.nodes.sensor.skin_file import load_skin, save_skin
 from sparseskin.nodes.sensor.zero import Zero

@@ -51,9 +51,11 @@ EVEN = 4
 """Least length of a line with even steps, as 0, 1, 2, ..., that is a header. Chosen: of readings up
 to 10 one frame in 10,000 reads so."""
 RISING = 8
-"""The same of a line that rises. Derived: one of 40,000 random frames does."""
-FORMED = 3
-"""The same of one that rises and has another number of decimals than all lines below. Chosen."""
+"""Least length of a line that is asked about if it rises. Derived: one of 40,000 random frames
+does."""
+FORMED = 4
+"""The same of one that rises and has another number of decimals than all lines below, and least
+number of these. Chosen."""
 RATE_LINE = re.compile(
     r"\W*([A-Za-z][A-Za-z_ ()\[\]]*?)\W*(\d*\.?\d+)\s*((?:1/)?[A-Za-z/]*)[\s\",;]*"
 )
@@ -110,7 +112,7 @@ def read_head(file: File) -> TableHead:
     # Width, names, and where the data begin.
     head = _sized(dialect, lines)
     lines = [line for line in lines if len(line.cells) in _widths(head)]
-    data = _headed(head, lines, raw, n_skipped, layout)
+    data = _headed(head, lines, raw, n_skipped, file)
     if not data:
         raise SourceError(f"{file.name}: the recording holds no frame")
     head.n_before = data[0].number - 1
@@ -126,15 +128,25 @@ def read_head(file: File) -> TableHead:
         head.source = source_column(head, layout, data, file.name)
     if head.source is not None:
         data = [line for line in data if line.cells[head.source] == layout.frame_id]
-    if head.dialect.has_decimal_comma:
-        head.notes += ("commas are decimal points",)
-
-    # The lines of a block have no times of their own.
     _rate(head, raw, data[0].number)
+    _find_times(head, layout, raw, data, file.name)
+    _note_texts(head)
+    return head
+
+
+def _find_times(
+    head: TableHead,
+    layout: Layout,
+    raw: list[tuple[int, str]],
+    data: Sequence[Line],
+    name: str,
+) -> None:
+    """Find the columns of the times, and those that are left."""
+    # The lines of a block have no times of their own.
     if head.kind == GRID:
-        _ask_for_titles(head, layout, raw, file.name, data[0].number)
+        _ask_for_titles(head, layout, raw, name, data[0].number)
     else:
-        head.time = time_column(head, layout, data, file.name)
+        head.time = time_column(head, layout, data, name)
     if head.time is not None:
         head.nanoseconds = nanoseconds_beside(head, head.time)
         head.time_unit = unit_of_column(head, data, layout)
@@ -142,15 +154,15 @@ def read_head(file: File) -> TableHead:
         head.time,
         head.nanoseconds,
         head.source,
-        *counters(head, layout, data, file.name),
+        *counters(head, layout, data, name),
     )
     head.usable = tuple(k for k in head.numeric if k not in no_taxels)
-    _note_texts(head)
-    return head
 
 
 def _note_texts(head: TableHead) -> None:
-    """Note the columns that hold no numbers and no times."""
+    """Note decimal commas, and the columns that hold no numbers and no times."""
+    if head.dialect.has_decimal_comma:
+        head.notes += ("commas are decimal points",)
     texts = [k for k in range(head.width) if k not in head.numeric and k != head.time]
     if texts:
         labels = ", ".join(head.label(k) for k in texts[:MAX_SHOWN])
@@ -252,7 +264,7 @@ def _headed(
     lines: list[Line],
     raw: list[tuple[int, str]],
     n_skipped: int,
-    layout: Layout,
+    file: File,
 ) -> list[Line]:
     """The lines of data; the head learns the names before them."""
     head.names = ("",) * head.width
@@ -266,9 +278,15 @@ def _headed(
     cells = begin.cells[: head.width]
     later = lines[1:] or lines[:1]
     is_labelled = len(lines) > 1 and _are_labels(cells, later)
-    # Above lines of taxels, numbers are the times.
-    if is_labelled and layout.axis_names[:1] == ("taxels",):
-        is_labelled = _counts_columns(cells)
+    if file.layout.axis_names:
+        # It is stated what a line is: above lines of taxels, numbers are the times.
+        is_labelled = is_labelled and _counts_columns(cells)
+    elif len(lines) > 1 and not is_labelled and _alone_rises(cells, later):
+        fault = f"line {begin.number} rises, as none below"
+        ways = (
+            "state skip if it labels the columns, axes=frames,taxels if it is a frame"
+        )
+        raise UnstatedError(f"{file.name}: {fault}: {ways}")
     if is_labelled or (len(lines) > 1 and _is_header(cells, later)):
         # Positions are no names: their digits count nothing.
         if not is_labelled or _counts_columns(cells):
@@ -383,19 +401,31 @@ def _are_labels(cells: Sequence[str], later: Sequence[Line]) -> bool:
     if not labels or not all(map(is_number, labels)) or not _rises(labels):
         return False
     rows = [line.cells[begin : len(cells)] for line in later]
-    n_decimals = _decimals(labels)
     are_whole_below = not any(map(_decimals, rows))
     if are_whole_below and all("." in label for label in labels):
         return True
-    is_formed = not any(_decimals(row) == n_decimals for row in rows)
-    if is_formed and len(rows) >= FORMED <= len(labels):
-        return True
+    if len(rows) >= FORMED <= len(labels):
+        # A time at an end of the lines has a form of its own.
+        parts_of_line = (slice(None), slice(1, None), slice(None, -1))
+        if not any(
+            _decimals(row[part]) == _decimals(labels[part])
+            for row in rows
+            for part in parts_of_line
+        ):
+            return True
 
     # Frames of a test pattern go on so, perhaps beside their time.
-    parts = [part for row in rows for part in (row, row[1:], row[:-1])]
-    if _is_even(labels) and (len(labels) >= EVEN or begin):
-        return not any(map(_is_even, parts))
-    return len(labels) >= RISING and not any(map(_rises, parts))
+    if not _is_even(labels) or not (len(labels) >= EVEN or begin):
+        return False
+    return not any(_is_even(part) for row in rows for part in (row, row[1:], row[:-1]))
+
+
+def _alone_rises(cells: Sequence[str], later: Sequence[Line]) -> bool:
+    """True if a long line of numbers rises, and no line below does, perhaps beside its time."""
+    if len(cells) < RISING or not _rises(cells):
+        return False
+    rows = [line.cells[: len(cells)] for line in later]
+    return not any(_rises(part) for row in rows for part in (row, row[1:], row[:-1]))
 
 
 def _numbers(cells: Sequence[str]) -> npt.NDArray[np.float64]:
@@ -572,6 +602,6 @@ def _long_columns(
         if not all(map(str.isdecimal, cells)):
             return None
         numbers = list(map(int, cells))
-        first = min(numbers)
-        places.append(Place(column, first, size or max(numbers) - first + 1))
+        begin = min(numbers)
+        places.append(Place(column, begin, size or max(numbers) - begin + 1))
     return LongColumns(frame, tuple(places), value)

@@ -67,7 +67,7 @@ class Place(NamedTuple):
     """A column of rows, columns or taxels, its least number, and how many there are."""
 
     column: int
-    first: int
+    begin: int
     size: int
 
 

@@ -163,14 +163,14 @@ class TableRecording(Recording):
 
     def _before_as(self, text: str, number: int) -> str:
         """The name by which a line before the first one of data is dropped."""
-        named = {self._head.header: "header", self._head.units: "line of units"}
+        labels = {self._head.header: "header", self._head.units: "line of units"}
         if number == 1 and EXCEL_LINE.fullmatch(text.strip()):
             return "line of the separator"
         if number <= self._layout.skip:
             return "skipped lines"
         empty_as = _empty_as(text)
-        if text in named and empty_as != BLANK:
-            return named[text]
+        if text in labels and empty_as != BLANK:
+            return labels[text]
         return empty_as or "lines before the table"
 
     def _dropped_as(self, text: str) -> str:
@@ -402,8 +402,8 @@ class TableRecording(Recording):
         counts = np.diff([*begins, len(rows)])
         frame = np.repeat(np.arange(len(begins)), counts)
         sizes = [place.size for place in long.places]
-        firsts = [place.first for place in long.places]
-        places = rows[:, [place.column for place in long.places]] - firsts
+        least_numbers = [place.begin for place in long.places]
+        places = rows[:, [place.column for place in long.places]] - least_numbers
         inside = ((places >= 0) & (places < sizes)).all(axis=1)
         if not inside.all():
             names = [axis.label for axis in long.axes]

@@ -199,7 +199,7 @@ class TestTimes:
 
     def test_of_several_none_is_chosen(self, tmp_path):
         raw = npz(pad=FORCES, time=self.T, stamps=self.T)
-        ways = "state time=time, time=stamps or time=none"
+        ways = "state time=time or time=stamps or time=none"
         with pytest.raises(SourceError, match=ways):
             open_bytes(tmp_path, "a.npz", raw)
         stamps = open_bytes(tmp_path, "a.npz", raw, time="none").stamp_ns
@@ -243,13 +243,11 @@ class TestTimes:
         source = open_bytes(tmp_path, "a.npy", dates, **shape)
         np.testing.assert_array_equal(source.frames, FORCES.astype(np.float32))
         np.testing.assert_allclose(source.stamp_ns / 1e9, self.T, atol=1e-6)
-        assert (
-            f"the {place} column holds dates: it is read as the times" in source.notes
-        )
+        assert f"column {at + 1} holds dates: the times" in source.notes
 
         seconds = npy(np.insert(rows, at, self.T, axis=1))
         with pytest.raises(
-            SourceError, match=f"one more than taxels are stated: .*time={place}"
+            SourceError, match=f"the first and the last column rise: .*time={place}"
         ):
             open_bytes(tmp_path, "a.npy", seconds, **shape)
         source = open_bytes(tmp_path, "a.npy", seconds, time=place, **shape)

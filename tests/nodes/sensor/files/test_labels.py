@@ -214,8 +214,8 @@ def test_positions_above_the_columns_are_no_frame(
     places = [f"{k * float(pitch):.{n_digits}f}" for k in range(frames.shape[1])]
     rows = [[f"{reading:.{decimals}f}" for reading in frame] for frame in frames]
     text = "\n".join(",".join(row) for row in [places, *rows]) + "\n"
-    if decimals and len(places) < 3:
-        return  # nothing tells two such numbers from readings
+    if decimals and len(places) < 4:
+        return  # nothing tells so few numbers from readings
     np.testing.assert_array_equal(
         read(tmp_path, text, shape).frames.reshape(6, -1), frames
     )
@@ -231,3 +231,28 @@ def test_a_column_that_counts_may_be_the_times(tmp_path):
         source = read(tmp_path, text, (1, 3), time_unit="s", **stated)
         np.testing.assert_array_equal(source.frames, frames)
         np.testing.assert_allclose(source.stamp_ns / 1e9, np.arange(5) * period_s)
+
+
+@pytest.mark.parametrize("end", ["first", "last"])
+def test_a_first_frame_at_a_whole_time_is_a_frame(tmp_path, end):
+    frames = readings_of(6, (1, 3), 1)
+    frames[0] = [[20, 30, 45]]
+    lines = []
+    for k, line in enumerate(lines_of(frames)):
+        time = f"{10 + 50 * (end == 'last') + k / 8:g}"
+        cells = [time, line] if end == "first" else [line, time]
+        lines.append(",".join(cells))
+    source = read(tmp_path, "\n".join(lines) + "\n", (1, 3), time=end, time_unit="s")
+    np.testing.assert_array_equal(source.frames, frames)
+
+
+def test_a_first_line_that_rises_alone_is_asked_about(tmp_path):
+    frames = readings_of(6, (2, 4), 1)
+    frames[0] = [[1, 2, 4, 8], [16, 32, 64, 128]]
+    text = "\n".join(lines_of(frames)) + "\n"
+    with pytest.raises(SourceError, match="line 1 rises, as none below: state skip"):
+        read(tmp_path, text, (2, 4))
+    source = read(tmp_path, text, (2, 4), axes="frames,taxels")
+    np.testing.assert_array_equal(source.frames, frames)
+    source = read(tmp_path, text, (2, 4), skip=1)
+    np.testing.assert_array_equal(source.frames, frames[1:])

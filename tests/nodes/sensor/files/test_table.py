@@ -206,7 +206,7 @@ def test_a_table_as_programs_write_it_is_read(tmp_path, text, stated, rate_hz):
         ("a,b\n1,2\n", {"columns": "2-9"}, "'2-9' is none of 2 columns"),
         ("name\nleft\n", {}, "holds no frame"),
         ("5,a,1,2\n6,a,1,2\n4,a,1,2\n", ROW, "3 columns hold numbers, but .* needs 2"),
-        ("0.5,1,0.1\n0.7,1,0.2\n", ROW, "state time=first or time=last, or columns$"),
+        ("0.5,1,0.1\n0.7,1,0.2\n", ROW, "state time=first or time=last or columns$"),
         (
             "time,s0,s1\n0,1,1\n2,1,1\n",
             {},
@@ -286,12 +286,12 @@ def test_a_column_that_rises_without_a_name_is_never_dropped_without_a_word(
     text = "".join(",".join(f"{cell:g}" for cell in line) + "\n" for line in cells)
     header = ",".join(chr(ord("a") + k) for k in range(n_taxels + 1)) + "\n"
     text = header * data.draw(st.booleans()) + text
-    label = f"'{header[2 * place]}'" if text.startswith("a") else str(place + 1)
+    label = header[2 * place] if text.startswith("a") else str(place + 1)
 
     shown = refusal(lambda: read(tmp_path, text, **stated), SourceError)
-    ask = f"1 column rises in all lines: state time={label} or, if these are no times, time=none"
+    ask = f"1 column rises in all lines: state time={label} or time=none, if these are no times"
     assert f"{ask}; add time=" in shown
-    source = read(tmp_path, text, **stated, time=label.strip("'"))
+    source = read(tmp_path, text, **stated, time=label)
     np.testing.assert_array_equal(source.frames[:, 0], readings)
     np.testing.assert_allclose(source.stamp_ns / 1e9, seconds - seconds[0], atol=1e-6)
     assert read(tmp_path, text, **stated, time="none").rate_hz is None

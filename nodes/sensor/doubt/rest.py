@@ -10,10 +10,9 @@ from sparseskin.messages import Reason
 from sparseskin.messages.skin import Skin
 from sparseskin.messages.text import printable
 from sparseskin.nodes.numerics.arrays import Doubles, Floats
+from sparseskin.nodes.sensor.calibration.chain import TARE_FRAMES
+from sparseskin.nodes.sensor.layout.checks import ADD
 from sparseskin.nodes.touch import MeasuredNoise, touch_level
-
-from .calibration.chain import TARE_FRAMES
-from .layout.checks import ADD
 
 DEAD = 0.04
 """Part of the taxels that a level at rest may leave out, rounded up. Chosen: a skin has fewer dead

@@ -11,13 +11,13 @@ import numpy.typing as npt
 from sparseskin.messages.skin import Skin
 from sparseskin.messages.text import printable
 from sparseskin.nodes.numerics.arrays import Floats
+from sparseskin.nodes.sensor.calibration.chain import TARE_FRAMES
+from sparseskin.nodes.sensor.calibration.description import SkinDescription
+from sparseskin.nodes.sensor.layout.checks import ADD
+from sparseskin.nodes.sensor.saturation import Clipped
 
-from .calibration.chain import TARE_FRAMES
-from .calibration.description import SkinDescription
-from .layout.checks import ADD
 from .repeats import Repeats
 from .rest import Rest
-from .saturation import Clipped
 from .sign import Sign
 
 
