@@ -93,8 +93,9 @@ def find_frame_axis(
     array: ArrayShape,
     n_times: Collection[int],
     first_is_usual: bool | None,
+    items_are_named: bool = False,
 ) -> FrameAxis:
-    """The axis of the frames.
+    """The axis of the frames; with `items_are_named` the others are stated.
 
     In this order: as it is stated; as the labels of the file say; the only one as long as times
     beside the array (`n_times`), and that leaves the stated shape, of which rows and columns are
@@ -107,7 +108,9 @@ def find_frame_axis(
     # Names of the other axes alone say nothing of that of the frames.
     if names and "frames" not in names and len(names) == n_long - 1:
         without_axes = layout.stating({"axes": ""})
-        frame_axis = find_frame_axis(without_axes, array, n_times, first_is_usual)
+        frame_axis = find_frame_axis(
+            without_axes, array, n_times, first_is_usual, items_are_named=True
+        )
         return _with_items(names, frame_axis)
 
     stated_labels = _stated_labels(names, array)
@@ -123,6 +126,8 @@ def find_frame_axis(
         axis, reason = _decided(layout, array, fitting, n_times, first_is_usual)
     way = _best_way(layout, array, axis)
     _ask_for_channel(layout, array, way)
+    if not items_are_named:
+        _ask_for_one(layout, array, axis)
     return FrameAxis(axis, tuple(_items(array, way)), reason + _said(way))
 
 
@@ -191,6 +196,24 @@ def _ask_for_channel(layout: Layout, array: ArrayShape, way: _Way) -> None:
     fault = f"which axis of {array.text} is that of the channels is not stated"
     ways = [_axes_text(array, w) for w in equal]
     raise UnstatedError.between(f"{array.where}: {fault}", "axes", ways)
+
+
+def _ask_for_one(layout: Layout, array: ArrayShape, axis: int | None) -> None:
+    """Raise UnstatedError if 1 x 4 x 3 numbers may be a grid, or three numbers of 1 x 4 taxels."""
+    items = array.others(axis)
+    long_axes = [at for at in items if array.sides[at] > 1]
+    is_stated = (
+        layout.channel or layout.n_stated or any(array.labels[at] for at in items)
+    )
+    if len(items) != 3 or len(long_axes) != 2 or is_stated:
+        return
+    # As many as the axes of a force.
+    at_end = [at for at in (items[0], items[-1]) if array.sides[at] == 3]
+    if at_end:
+        ways = [_Way(axis, _DIRECT, None), _Way(axis, _DIRECT, at_end[-1])]
+        fault = f"{array.where}: {array.text} has one number per taxel, or three"
+        texts = [_axes_text(array, way) for way in ways]
+        raise UnstatedError.between(fault, "axes", texts, "n_rows and n_cols")
 
 
 def _best_way(layout: Layout, array: ArrayShape, axis: int | None) -> _Way:

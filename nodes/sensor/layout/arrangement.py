@@ -171,9 +171,7 @@ def _one_channel(
 ) -> tuple[npt.NDArray[Any], list[Axis], tuple[str, ...]]:
     """The places of one channel, without axes of one entry."""
     if len(axes) > 2:
-        long_axes = [axis for axis in axes if axis.size > 1]
-        _ask_for_one(layout, axes, len(long_axes), where)
-        axes = long_axes or axes[-1:]
+        axes = [axis for axis in axes if axis.size > 1] or axes[-1:]
     places = places.reshape([axis.size for axis in axes])
 
     at = _channel_axis(layout, axes, where)
@@ -186,18 +184,6 @@ def _one_channel(
         return places, axes, ()
     entry, note = _entry(layout, axes[at], where)
     return np.take(places, entry, axis=at), axes[:at] + axes[at + 1 :], (note,)
-
-
-def _ask_for_one(layout: Layout, axes: Sequence[Axis], n_long: int, where: str) -> None:
-    """Raise UnstatedError if 1 x 4 x 3 numbers may be a grid, or three numbers of 1 x 4 taxels."""
-    is_stated = layout.channel or layout.n_stated or any(axis.label for axis in axes)
-    ends = (axes[0].size, axes[-1].size)
-    if n_long == 2 and len(XYZ) in ends and not is_stated:
-        fault = f"an item is {_sides(axes)}, of {len(XYZ)} numbers per taxel or one"
-        is_last = axes[-1].size == len(XYZ)
-        ways = ["rows,cols", "taxels,channel" if is_last else "channel,taxels"]
-        otherwise = "n_rows and n_cols"
-        raise UnstatedError.between(f"{where}: {fault}", "axes", ways, otherwise)
 
 
 def _channel_axis(layout: Layout, axes: list[Axis], where: str) -> int | None:
