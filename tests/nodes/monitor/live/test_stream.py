@@ -248,8 +248,8 @@ def test_contacts_come_with_their_frame_and_each_event_once(clock, monkeypatch):
     assert found["sum"] == 5.0
     assert found["trusted"]
     assert only(records, "events")[1]["rows"][:, 1:].tolist() == [
-        [1, 0, 0, 0],
-        [2, 0, 0, 0],
+        [1, 0, 0, 0, 0],
+        [2, 0, 0, 0, 0],
     ]
     assert page.kinds() == ["state"]
     graph.frame()
