@@ -1534,16 +1534,13 @@ def skin_step(
     limits = inputs.denoiser.limits
     v = scratch.v
     shift = (plan.first_shift + k) % tiles.counts.size
-    off2, residual2 = target_residual(
-        z, inputs.transform, measured, inputs.targets, u, v
-    )
+    targets = inputs.targets
+    off2, residual2 = target_residual(z, inputs.transform, measured, targets, u, v)
 
     # Error variance of z, seen by the rows read.
     least_tau = constants.least_tau * max(off2, plan.target_variance)
     tau = np.float32(max(off2 - plan.target_variance, least_tau) + plan.floor)
-    s, per_weight = linear_estimate(
-        z, inputs.transform, inputs.targets, tau, plan.floor, u, v
-    )
+    s, per_weight = linear_estimate(z, inputs.transform, targets, tau, plan.floor, u, v)
 
     # Tiles in which nothing stands out have no force.
     denoised = scratch.denoised

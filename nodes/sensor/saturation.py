@@ -14,7 +14,7 @@ from sparseskin.messages import Reason
 from sparseskin.messages.text import printable
 from sparseskin.nodes.numerics.arrays import Mask
 
-from .doubt.sign import Margin, Sign
+from .sign import Margin, Sign
 
 MANY = 0.01
 """Part of the readings of a frame from which on it is not trusted, if they are clipped. Chosen: of

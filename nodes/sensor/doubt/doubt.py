@@ -15,10 +15,10 @@ from sparseskin.nodes.sensor.calibration.chain import TARE_FRAMES
 from sparseskin.nodes.sensor.calibration.description import SkinDescription
 from sparseskin.nodes.sensor.layout.checks import ADD
 from sparseskin.nodes.sensor.saturation import Clipped
+from sparseskin.nodes.sensor.sign import Sign
 
 from .repeats import Repeats
 from .rest import Rest
-from .sign import Sign
 
 
 class Doubt:

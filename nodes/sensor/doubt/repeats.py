@@ -9,8 +9,7 @@ import numpy as np
 from sparseskin.messages import Reason
 from sparseskin.messages.skin import Skin
 from sparseskin.nodes.numerics.arrays import Floats, Indices, Mask, mean_of_near
-
-from .sign import Margin
+from sparseskin.nodes.sensor.sign import Margin
 
 CHANCE = 1e-12
 """Probability at which the noise of a taxel repeats one reading so often. Chosen: at 1 kHz one in

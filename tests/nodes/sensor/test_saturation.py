@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
 from sparseskin.nodes.sensor.saturation import Clipped
-from sparseskin.nodes.sensor.doubt.sign import Margin, Sign
+from sparseskin.nodes.sensor.sign import Margin, Sign
 
 LOW = -1.0
 HIGH = 2.0
