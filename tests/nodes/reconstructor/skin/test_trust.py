@@ -57,7 +57,7 @@ def innovation(square, repeating):
     values = dict.fromkeys(Innovation._fields, 0.0)
     sums = {
         "squares": square * M,
-        "repeating": repeating * M,
+        "noise_squares": repeating * M,
         "n_read": M,
         "n_known": M,
     }
