@@ -180,27 +180,16 @@ class FrameVectors(Vectors):
             squares=_dot(self.innovation, self.innovation),
             correction_squares=_dot(correction, correction),
             products=_dot(self.innovation, correction),
-            noise_squares=self._noise_squares(),
+            noise_squares=noise_squares(
+                self.innovation,
+                self._last_innovation,
+                self.predicted - self._last_predicted,
+            ),
             n_read=len(read),
             n_known=int(np.count_nonzero(self._is_known)),
             filter_squares=_total(unexpected * unexpected),
             filter_variances=_total(self._expected * self._is_known),
         )
-
-    def _noise_squares(self) -> float:
-        """Return `Innovation.noise_squares`."""
-        new = self.innovation
-        last = self._last_innovation
-        change = self.predicted - self._last_predicted
-        fall = last - new
-        part = _dot(fall, change) / (_dot(change, change) + TINY)
-        fall = fall - np.float32(min(max(part, 0.0), 1.0)) * change
-
-        # Each of the innovations shows the noise of its own, the less precisely the larger it is.
-        squares = _dot(new, new)
-        last_squares = _dot(last, last)
-        products = squares * _dot(last, fall) - last_squares * _dot(new, fall)
-        return products / (squares + last_squares + TINY)
 
     def _move_means(self, growth: np.float32) -> None:
         """Move the means of the filters as the prediction moves, so far as their rows confirm it:
@@ -398,6 +387,21 @@ class FrameVectors(Vectors):
 
     def mean_variance(self, forces: Floats, model: NoiseModel) -> float:
         return _total(model.variance(forces)) / len(forces)
+
+
+def noise_squares(innovation: Floats, last: Floats, change: Floats) -> float:
+    """Return `Innovation.noise_squares`, by the innovation of a frame, the last one of the same
+    rows, and the change of their prediction between the two.
+    """
+    fall = last - innovation
+    part = _dot(fall, change) / (_dot(change, change) + TINY)
+    fall = fall - np.float32(min(max(part, 0.0), 1.0)) * change
+
+    # Each of the innovations shows the noise of its own, the less precisely the larger it is.
+    squares = _dot(innovation, innovation)
+    last_squares = _dot(last, last)
+    products = squares * _dot(last, fall) - last_squares * _dot(innovation, fall)
+    return products / (squares + last_squares + TINY)
 
 
 class Recall:

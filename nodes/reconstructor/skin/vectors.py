@@ -38,7 +38,9 @@ class Innovation(NamedTuple):
     squares: float
     correction_squares: float
     products: float  # of innovation and correction
-    noise_squares: float  # squared noise that this and the last innovation of the rows show
+    noise_squares: (
+        float  # squared noise that this and the last innovation of the rows show
+    )
     n_known: int  # rows read before
     filter_squares: float  # squared innovation of the filters
     filter_variances: float  # variance of the filters' means
