@@ -105,6 +105,8 @@ class Measured(NamedTuple):
     values: V
     innovation: V  # values less those predicted
     last_innovation: V  # when these rows were read before
+    predicted: V  # values that are predicted
+    last_predicted: V  # when these rows were read before
     off_target: V  # values less their targets
     residual: V  # values less W x of the estimate
     doubt: V  # part of each value that no force explains, 0 to 1
@@ -911,6 +913,36 @@ def filter_sums(
     return n_known, filter_squares, filter_variances
 
 
+@compiled(sums_in_any_order=True)
+def noise_squares(measured: Measured) -> float:
+    """As `Innovation.noise_squares`, of the two innovations of the rows read."""
+    new = measured.innovation
+    last = measured.last_innovation
+    predicted = measured.predicted
+    last_predicted = measured.last_predicted
+    along_change = 0.0
+    change_squares = 0.0
+    squares = 0.0
+    last_squares = 0.0
+    for i in range(new.size):
+        change = np.float64(predicted[i] - last_predicted[i])
+        fall = np.float64(last[i] - new[i])
+        along_change += fall * change
+        change_squares += change * change
+        squares += np.float64(new[i]) ** 2
+        last_squares += np.float64(last[i]) ** 2
+
+    part = min(max(along_change / (change_squares + TINY), 0.0), 1.0)
+    of_last = 0.0
+    of_new = 0.0
+    for i in range(new.size):
+        change = np.float64(predicted[i] - last_predicted[i])
+        fall = np.float64(last[i] - new[i]) - part * change
+        of_last += np.float64(last[i]) * fall
+        of_new -= np.float64(new[i]) * fall
+    return (squares * of_last + last_squares * of_new) / (squares + last_squares + TINY)
+
+
 @entry(sums_in_any_order=True)
 def skin_predict(
     estimate: Estimate,
@@ -948,23 +980,21 @@ def skin_predict(
     values = measured.values
     doubt = measured.doubt
     innovation = measured.innovation
-    last_innovation = measured.last_innovation
+    predicted_read = measured.predicted
     correction = estimate.correction
-    repeating = 0.0
     squares = 0.0
     correction_squares = 0.0
     products = 0.0
     for i in range(read.size):
-        innovation[i] = (_1 - doubt[i]) * (values[i] - predicted_rows[read[i]])
+        predicted_read[i] = predicted_rows[read[i]]
+        innovation[i] = (_1 - doubt[i]) * (values[i] - predicted_read[i])
         new = np.float64(innovation[i])
         corrected = np.float64(correction[read[i]])
-        last = np.float64(last_innovation[i])
         squares += new * new
         correction_squares += corrected * corrected
         products += new * corrected
-        repeating += last * (last - new)
 
-    of_innovation = (squares, correction_squares, products, repeating)
+    of_innovation = (squares, correction_squares, products, noise_squares(measured))
     return *of_innovation, *filter_sums(measured, filters, constants.unknown)
 
 

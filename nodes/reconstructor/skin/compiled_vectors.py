@@ -108,14 +108,16 @@ class CompiledVectors(Vectors):
         rows = self._rows
         read = rows.read
         n_read = len(read)
-        vectors = np.empty((9, n_read), dtype=np.float32)
-        values, innovation, off_target, residual, doubt, excess, change = vectors[:7]
+        vectors = np.empty((10, n_read), dtype=np.float32)
+        values, innovation, predicted, off_target, residual, doubt, excess = vectors[:7]
         self.innovation = innovation
+        self.predicted = predicted
         self.residual = residual
         self.doubt = doubt
         measured = kernels.Measured(
             *(read, values, innovation, subset.innovation),
-            *(off_target, residual, doubt, excess, change, *vectors[7:]),
+            *(predicted, subset.predicted),
+            *(off_target, residual, doubt, excess, *vectors[7:]),
         )
         self._measured = measured
 

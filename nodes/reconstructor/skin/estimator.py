@@ -41,8 +41,9 @@ class SkinEstimator:
     2. The last frame x predicts this one: x_p = (1 + a0) x + a1 dx/drow + a2 dx/dcol, by ridge
        least squares on the innovation, scaled by what it explains (`motion_of`).
     3. The noise variance R is the part of the innovation that does not repeat when the same rows
-       are read again (`NoiseLevel`). P + R is its mean square: P, averaged over frames, is the
-       error variance of the prediction (`PredictionError`).
+       are read again, and that no change of the prediction explains (`NoiseLevel`). P + R is its
+       mean square: P, averaged over frames, is the error variance of the prediction
+       (`PredictionError`).
     4. Each row has a Kalman filter of its own, of mean w and variance n + g: what the noise of its
        measurements left, and what has changed since. The mean moves as the prediction does, in the
        part that the innovations of the filters confirm. What the mean squared innovation of the
@@ -153,7 +154,7 @@ class SkinEstimator:
         innovation = self.vectors.predict(motion)
         self._innovation2 = innovation.mean_square
         noise = self._follow_noise(innovation, frame)
-        subset.keep(y, self.vectors.innovation)
+        subset.keep(y, self.vectors.innovation, self.vectors.predicted)
         error2 = self.prediction_error.follow(
             innovation.mean_square, noise, frame.n_read
         )

@@ -100,6 +100,7 @@ class FrameVectors(Vectors):
     ) -> tuple[Comparison, MotionSums]:
         self._values = self._rows.values(y) - np.float32(bias) * subset.ones
         self._last_innovation = subset.innovation
+        self._last_predicted = subset.predicted
         self._doubt_values(subset, noise)
         comparison = Comparison(
             power=_total(np.square(y, dtype=np.float64)) / len(y),
@@ -163,7 +164,8 @@ class FrameVectors(Vectors):
         )
         self._predicted = np.minimum(moved.clip(0, None), np.float32(motion.bound))
         self._predicted_rows = self._rows.forward(self._predicted)
-        self.innovation = self._certain * (self._values - self._predicted_rows[read])
+        self.predicted = self._predicted_rows[read]
+        self.innovation = self._certain * (self._values - self.predicted)
         self._estimate = self._predicted
         self._own = np.zeros_like(self.innovation)
 
@@ -178,8 +180,10 @@ class FrameVectors(Vectors):
             squares=_dot(self.innovation, self.innovation),
             correction_squares=_dot(correction, correction),
             products=_dot(self.innovation, correction),
-            repeating=_dot(
-                self._last_innovation, self._last_innovation - self.innovation
+            noise_squares=noise_squares(
+                self.innovation,
+                self._last_innovation,
+                self.predicted - self._last_predicted,
             ),
             n_read=len(read),
             n_known=int(np.count_nonzero(self._is_known)),
@@ -383,6 +387,21 @@ class FrameVectors(Vectors):
 
     def mean_variance(self, forces: Floats, model: NoiseModel) -> float:
         return _total(model.variance(forces)) / len(forces)
+
+
+def noise_squares(innovation: Floats, last: Floats, change: Floats) -> float:
+    """Return `Innovation.noise_squares`, by the innovation of a frame, the last one of the same
+    rows, and the change of their prediction between the two.
+    """
+    fall = last - innovation
+    part = _dot(fall, change) / (_dot(change, change) + TINY)
+    fall = fall - np.float32(min(max(part, 0.0), 1.0)) * change
+
+    # Each of the innovations shows the noise of its own, the less precisely the larger it is.
+    squares = _dot(innovation, innovation)
+    last_squares = _dot(last, last)
+    products = squares * _dot(last, fall) - last_squares * _dot(innovation, fall)
+    return products / (squares + last_squares + TINY)
 
 
 class Recall:

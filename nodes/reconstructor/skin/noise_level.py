@@ -12,7 +12,8 @@ from .vectors import Innovation, Settled
 class NoiseLevel:
     """Noise variance R of a measurement, and the trust in it.
 
-    R is the part of the innovation that does not repeat when the same rows are read again. Where an
+    R is the part of the innovation that does not repeat when the same rows are read again, and that
+    no change of the prediction explains: an estimate that converges is no noise. Where an
     innovation points along the last correction, that was too small: what seems noise is motion, and
     the trust falls.
 
@@ -28,7 +29,7 @@ class NoiseLevel:
     Notes
     -----
     Source: Mehra, "On the identification of variances and adaptive Kalman filtering", IEEE Trans.
-    Automatic Control 15(2), 1970.
+    Automatic Control 15(2), 1970; it holds for a stationary prediction.
     """
 
     def __init__(self, tuning: SkinTuning) -> None:
@@ -55,7 +56,7 @@ class NoiseLevel:
 
     def follow(self, innovation: Innovation, frame: FrameNumbers) -> None:
         """Update the level by the innovation of a frame whose rows were read before."""
-        measured = max(innovation.repeating / frame.n_read, 0.0)
+        measured = max(innovation.noise_squares / frame.n_read, 0.0)
 
         # What repeats exactly shows no noise.
         new = 1 - frame.repeated

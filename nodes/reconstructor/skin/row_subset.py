@@ -100,12 +100,12 @@ class RowSubset:
     n_blocks : int
     y : ndarray of float32, shape (m,)
         The last measurements of this subset.
-    innovation : ndarray of float32, shape (n_read,)
-        Of its last frame.
+    innovation, predicted : ndarray of float32, shape (n_read,)
+        Of its last frame: innovation, and what had been predicted.
     faulty : ndarray of float32, shape (n_read,)
         1 for a measurement that is not to count, else 0.
     was_read : bool
-        True if there was a frame of this subset; y and innovation are 0 else.
+        True if there was a frame of this subset; the other ones are 0 else.
     """
 
     def __init__(self, rows: Rows, m: int) -> None:
@@ -116,13 +116,15 @@ class RowSubset:
         self.n_blocks = int(self.block.max(initial=-1)) + 1
         self.y = np.zeros(m, dtype=np.float32)
         self.innovation = np.zeros(len(self.ones), dtype=np.float32)
+        self.predicted = np.zeros(len(self.ones), dtype=np.float32)
         self.faulty = np.zeros(len(self.ones), dtype=np.float32)
         self.was_read = False
 
-    def keep(self, y: Floats, innovation: Floats) -> None:
-        """Keep measurements and innovation of a frame."""
+    def keep(self, y: Floats, innovation: Floats, predicted: Floats) -> None:
+        """Keep measurements, innovation and prediction of a frame."""
         self.y[:] = y
         self.innovation = innovation
+        self.predicted = predicted
         self.was_read = True
 
     def numbers(self, comparison: Comparison, level: Level) -> FrameNumbers:

@@ -28,12 +28,19 @@ NEGLIGIBLE = 1e-3
 class Innovation(NamedTuple):
     """Sums over the rows read: of their innovation, and of the correction by the last frame; and
     over those of them that were read before: of what their filters had not expected.
+
+    Noise is what the last innovation of the row subset exceeds this one by, but for the part that
+    the change of the prediction between them explains: an estimate that converges lowers the
+    innovation, too. The noise of either frame is its product with the innovation of that frame; the
+    mean of both counts, by the precision of each.
     """
 
     squares: float
     correction_squares: float
     products: float  # of innovation and correction
-    repeating: float  # of the last innovation of the row subset and what it exceeds this one by
+    noise_squares: (
+        float  # squared noise that this and the last innovation of the rows show
+    )
     n_known: int  # rows read before
     filter_squares: float  # squared innovation of the filters
     filter_variances: float  # variance of the filters' means
@@ -165,6 +172,8 @@ class Vectors(ABC):
         Part of each value of the rows read that no force explains, 0 to 1; set by `begin`.
     innovation : ndarray, shape (n_read,)
         Values of the rows read less those predicted, without what is doubted; set by `predict`.
+    predicted : ndarray, shape (n_read,)
+        Values predicted of the rows read; set by `predict`.
     residual : ndarray, shape (n_read,)
         Values of the rows read less W x of the estimate, without what is doubted; set by `settle`.
     """
@@ -172,6 +181,7 @@ class Vectors(ABC):
     x: Floats
     doubt: Floats
     innovation: Floats
+    predicted: Floats
     residual: Floats
 
     @abstractmethod

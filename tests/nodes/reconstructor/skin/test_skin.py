@@ -4,7 +4,7 @@ from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from matrices import Stretched
 from pressed import noisy, psnr_db, sliding_disc
@@ -255,20 +255,17 @@ def test_a_taxel_that_moves_does_not_pass_for_noise(side, ratio, sd):
         assert k < 20 or error < 0.3 or (sd == 0 and not stream.trusted)
 
 
-N_UNTOUCHED = 10
-"""Frames before a rough load: a stream learns the noise of the skin in them."""
-
-
-def rough_load(side, ratio, n_frames):
+def rough_load(shape, ratio, seed, n_frames, n_untouched=0, is_stated=True):
     """Frames of a load that holds still, as a stream reconstructs them: error in that of reading
     all taxels, error in the load, and if the frame is trusted. Seven of ten taxels are pressed,
-    each by another force, far from sparse.
+    each by another force, far from sparse. Before them, so many frames are untouched.
     """
-    rng = np.random.default_rng(side + ratio)
-    is_pressed = rng.random((side, side)) < 0.7
-    truth = (is_pressed * rng.uniform(0.2, 1.5, (side, side))).astype(np.float32)
-    stream = Stream((side, side), ratio=ratio, rows=ROTATING, sigmas=SIGMAS)
-    for _ in range(N_UNTOUCHED):
+    rng = np.random.default_rng(seed)
+    is_pressed = rng.random(shape) < 0.7
+    truth = (is_pressed * rng.uniform(0.2, 1.5, shape)).astype(np.float32)
+    sigmas = SIGMAS if is_stated else None
+    stream = Stream(shape, ratio=ratio, rows=ROTATING, sigmas=sigmas)
+    for _ in range(n_untouched):
         stream.reconstruct(stream.compress(PAPER.apply(np.zeros_like(truth), rng)))
     frames = []
     for _ in range(n_frames):
@@ -283,19 +280,40 @@ def rough_load(side, ratio, n_frames):
     return frames
 
 
-@pytest.mark.parametrize(("side", "ratio"), SIDES_AND_RATIOS)
-def test_a_rough_load_that_holds_still_is_reached_and_kept(side, ratio):
-    n_settling = 5 * ratio + 20
-    frames = rough_load(side, ratio, n_settling + 100)
+SIDE = st.integers(8, 24)
+
+
+@settings(max_examples=12)
+@given(
+    shape=st.tuples(SIDE, SIDE),
+    ratio=st.sampled_from([2, 3, 4, 8]),
+    seed=st.integers(0, 2**32 - 1),
+    is_stated=st.booleans(),
+)
+def test_a_rough_load_that_holds_still_is_reached_within_five_cycles_and_kept(
+    shape, ratio, seed, is_stated
+):
+    assume(shape[0] * shape[1] >= 16 * ratio)  # fewer measurements show no motion
+    n_settling = 5 * ratio
+    frames = rough_load(shape, ratio, seed, n_settling + 20, is_stated=is_stated)
     of_reading = [error for error, _, _ in frames[n_settling:]]
-    assert np.median(of_reading) < 1
-    # a frame of an estimate that has not converged has 10 and more
-    assert max(of_reading) < 4
+    # Largest of 120 draws: 0.8, and 1.5 in a frame. A noise level that follows changes of the
+    # estimate leaves up to 9 and 11.
+    assert np.median(of_reading[:ratio]) < 1.2
+    assert max(of_reading) < 3
+
+
+@pytest.mark.parametrize("ratio", [2, 3, 8])
+def test_a_rough_load_on_a_large_skin_is_reached_within_five_cycles_and_kept(ratio):
+    n_settling = 5 * ratio
+    frames = rough_load((40, 40), ratio, ratio, n_settling + 40)
+    of_reading = [error for error, _, _ in frames[n_settling:]]
+    assert max(of_reading) < 1
 
 
 @pytest.mark.parametrize(("side", "ratio"), SIDES_AND_RATIOS)
 def test_of_a_rough_load_frames_with_large_errors_are_not_trusted(side, ratio):
-    frames = rough_load(side, ratio, 100)
+    frames = rough_load((side, side), ratio, side + ratio, 100, n_untouched=10)
     assert max(error for _, error, trusted in frames if trusted) < 0.4
 
 

@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 
 from sparseskin.nodes.compressor.phi.base import make_phi
 from sparseskin.nodes.reconstructor.bases.base import make_basis
+from sparseskin.nodes.reconstructor.skin.frame_vectors import noise_squares
 from sparseskin.nodes.reconstructor.skin.noise_level import NoiseLevel
 from sparseskin.nodes.reconstructor.skin.prediction import (
     MotionSums,
@@ -58,7 +59,7 @@ def innovation(square, repeating):
     values = dict.fromkeys(Innovation._fields, 0.0)
     sums = {
         "squares": square * M,
-        "repeating": repeating * M,
+        "noise_squares": repeating * M,
         "n_read": M,
         "n_known": M,
     }
@@ -308,6 +309,26 @@ def test_the_level_is_what_does_not_repeat_of_the_innovations(variance):
     level = followed(10, variance)
     assert level.variance == pytest.approx(variance)
     assert level.least == pytest.approx(variance)
+
+
+@given(
+    seed=st.integers(0, 2**32 - 1),
+    scale=st.floats(1e-3, 1e3),
+    part=st.floats(0.0, 1.0),
+)
+def test_what_a_prediction_comes_nearer_by_is_no_noise(seed, scale, part):
+    rng = np.random.default_rng(seed)
+    n = 4000
+    error = rng.normal(0, 1, n)
+    last_noise, noise = rng.normal(0, scale, (2, n))
+    change = part * error
+    last = (error + last_noise).astype(np.float32)
+    new = (error - change + noise).astype(np.float32)
+    shown = noise_squares(new, last, change.astype(np.float32)) / n
+    # Products of the innovation that counts more, and of the noise of both frames.
+    square = min(np.mean(np.square(last)), np.mean(np.square(new)))
+    deviation = scale * np.sqrt(2 * square / n) + 1e-6 * square
+    assert abs(shown - scale**2) < 6 * deviation
 
 
 @pytest.mark.parametrize(("n_frames", "is_known"), [(5, False), (6, True)])
