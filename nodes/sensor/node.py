@@ -478,20 +478,26 @@ class Sensor(SourceNode[SensorSettings]):
             forces, missing = filled
 
         if source.delivers == "taxels":
-            reason = self._reason(forces)
+            reason = self._reason(forces, missing)
             assert self._doubt is not None
             return _Frame(self._doubt.filled(forces), None, missing, reason)
         return _Frame(self._measured(forces), self._truth(forces), missing)
 
-    def _reason(self, forces: Floats) -> str:
-        """Why the readings of a frame are not to be trusted, "" if they are."""
+    def _reason(self, forces: Floats, missing: _Bits | None) -> str:
+        """Why the readings of a frame are not to be trusted, "" if they are; `missing` are the bits
+        of those that are none.
+        """
         if self._doubt is None:
             has_level = not self._stated_rest
             inverted = self.settings.invert
             self._doubt = Doubt(
                 self.skin, self._clips, has_level=has_level, is_inverted=inverted
             )
-        reason = self._doubt.look(forces)
+        cells = None
+        if missing is not None:
+            bits = np.unpackbits(missing, count=forces.size)
+            cells = bits.astype(np.bool_).reshape(forces.shape)
+        reason = self._doubt.look(forces, cells)
         self._note_stuck(self._doubt.stuck_cells)
         line = self._doubt.take_line()
         if line:

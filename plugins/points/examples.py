@@ -33,13 +33,12 @@ GRIP_LENGTH_M = 0.1
 GRIP_PITCH_M = 0.005
 
 
-def torso() -> Layout:
-    """A torso, rings of taxels from waist to neck, open at both ends: `TORSO_POINTS` taxels.
+def torso(n: int = TORSO_POINTS) -> Layout:
+    """A torso, rings of taxels from waist to neck, open at both ends: n taxels.
 
     All taxels are about equally far apart, so that rings have different numbers of them, as many
     as their length holds: where it changes, the lattice has dislocations.
     """
-    n = TORSO_POINTS
     # The largest pitch at which there are n, to a nanometre.
     low = 0.002
     high = 0.1

@@ -212,11 +212,11 @@ RULES: dict[str, Rule] = {
     ),
     "stuck taxels": _patched(
         "the sensor finds taxels that repeat their readings",
-        (f"{SENSOR}.repeats", "Repeats.reason", lambda self, forces: ""),
+        (f"{SENSOR}.doubt.repeats", "Repeats.reason", lambda self, *_, **__: ""),
     ),
     "neighbours of stuck taxels": _patched(
         "those beside them fill them in",
-        (f"{SENSOR}.repeats", "Repeats.filled", lambda self, forces: forces),
+        (f"{SENSOR}.doubt.repeats", "Repeats.filled", lambda self, forces: forces),
     ),
     "range": _patched(
         "forces beyond the range are marked", (f"{FAULTS}.watch", "BEYOND", OFF)

@@ -10,7 +10,7 @@ import numpy.typing as npt
 
 from sparseskin.messages.skin import Skin
 from sparseskin.messages.text import printable
-from sparseskin.nodes.numerics.arrays import Floats
+from sparseskin.nodes.numerics.arrays import Floats, Mask
 from sparseskin.nodes.sensor.calibration.chain import TARE_FRAMES
 from sparseskin.nodes.sensor.calibration.description import SkinDescription
 from sparseskin.nodes.sensor.layout.checks import ADD
@@ -97,9 +97,9 @@ class Doubt:
         self.clipped.add(forces, f_min, self._skin.f_max, noise)
         return self.look(forces)
 
-    def look(self, forces: Floats) -> str:
+    def look(self, forces: Floats, missing: Mask | None = None) -> str:
         """Reason of a frame, float32 (n_rows, n_cols), 0 in masked cells; "" if there is none. It
-        was added to `clipped` before it was clipped.
+        was added to `clipped` before it was clipped. `missing`: as in `Repeats.reason`.
         """
         if self._rest is not None and self._rest.update(forces):
             self._is_new = True
@@ -111,7 +111,7 @@ class Doubt:
         self._sign_found = sign.is_found
 
         # The margin of a frame is used once: not all sources count what is clipped.
-        repeats = self._repeats.reason(forces, self.clipped.margin)
+        repeats = self._repeats.reason(forces, self.clipped.margin, missing)
         self.clipped.margin = None
         return self.level or self.clipped.reason(self._skin.n_taxels) or repeats
 

@@ -68,9 +68,15 @@ class Repeats:
         self._n_pairs = 0
         self._n_repeated = 0
 
-    def reason(self, forces: Floats, margin: float | None = None) -> str:
+    def reason(
+        self,
+        forces: Floats,
+        margin: float | None = None,
+        missing: Mask | None = None,
+    ) -> str:
         """Add a frame, float32 (n_rows, n_cols), 0 in masked cells. Returns its `Reason`, "" where
-        it has none. `margin`: what noise may exceed 0 by; None: it is measured.
+        it has none. `margin`: what noise may exceed 0 by; None: it is measured. `missing`: cells
+        whose force is no reading, bool (n_rows, n_cols).
         """
         readings = forces.reshape(-1)
         if self._is_any_stuck:
@@ -80,13 +86,16 @@ class Repeats:
             margin = self._margin.of(taxels, float(self.f_max), None)
         before = self._last
         self._last = readings.copy()
+        # A force that stands for a missing reading repeats nothing: NaN equals no number.
+        if missing is not None:
+            self._last[missing.reshape(-1)] = np.nan
         if readings.size != before.size:
             self._repeated = self._repeated[:0]
             self._runs = self._runs[:0]
             return ""
 
         # Hardly a taxel repeats: what follows is done for those alone.
-        repeated = np.flatnonzero((readings == before) & (readings != 0))
+        repeated = np.flatnonzero((self._last == before) & (readings != 0))
         self._count(before, repeated, margin)
         self._extend_runs(repeated, readings.size)
         if not repeated.size:
@@ -97,7 +106,8 @@ class Repeats:
         at_end = readings[repeated] >= self.f_max
         is_stuck = self._runs >= np.where(at_end, max(needed, LEAST_RUN_AT_END), needed)
         stuck = repeated[is_stuck]
-        is_frozen = stuck.size == np.count_nonzero(readings)
+        n_nonzero = np.count_nonzero(np.nan_to_num(self._last))
+        is_frozen = stuck.size == n_nonzero
         if not is_frozen:
             mask = np.zeros(forces.shape, np.bool_)
             mask.flat[repeated[is_stuck & ~at_end]] = True

@@ -58,6 +58,24 @@ def test_stuck_taxels_of_any_shape_are_found_and_no_others(seed, n_stuck, value)
     assert reasons[-1] in (Reason.STUCK, Reason.CLIPPED)
 
 
+@given(
+    seed=st.integers(0, 2**32 - 1),
+    n_missing=st.integers(1, 150),
+    value=st.floats(0.5, F_MAX),
+)
+def test_forces_that_stand_for_missing_readings_are_not_stuck(seed, n_missing, value):
+    places = np.random.default_rng(seed).choice(14 * 14, n_missing, replace=False)
+    missing = np.zeros((14, 14), np.bool_)
+    missing.flat[places] = True
+    watch = Repeats(SKIN)
+    reasons = []
+    for readings in frames(seed, N_BEFORE + 2 * LEAST_RUN_AT_END, force=0.3):
+        readings[missing] = value
+        reasons.append(watch.reason(readings, missing=missing))
+        assert not watch.stuck.any()
+    assert set(reasons) == {""}
+
+
 @given(st.integers(0, 2**32 - 1), st.sampled_from([0.1, 0.05, 0.02]))
 def test_nothing_is_concluded_where_a_converter_hides_the_noise(seed, step):
     watch = Repeats(SKIN)
