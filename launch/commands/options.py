@@ -159,7 +159,7 @@ def as_options(text: str) -> str:
 
 def bag_names(names: Sequence[str], out: str) -> list[str]:
     """Path of each bag that a command writes: `out`, or of its name in the folder `out`,
-    which is made for several.
+    which is made for several, or where `out` ends in "/".
 
     Raises SettingsError if two have the same name, `out` is a bag for several, or no bag for one;
     OutputError if the folder cannot be made.
@@ -168,10 +168,10 @@ def bag_names(names: Sequence[str], out: str) -> list[str]:
 
     # One recording may have any name; several get theirs from the files.
     folder = Path(out)
-    if len(names) == 1 and not folder.is_dir():
+    if len(names) == 1 and not folder.is_dir() and not out.endswith("/"):
         if not out.endswith(FILE_SUFFIX):
             raise SettingsError(
-                f"--out {out}: expected a name that ends in {FILE_SUFFIX}"
+                f"--out {out}: expected a name that ends in {FILE_SUFFIX}, or {out}/ for a folder"
             )
         return [out]
     for name in names:

@@ -3,6 +3,7 @@
 """
 
 import argparse
+import sys
 import tomllib
 from dataclasses import replace
 from pathlib import Path
@@ -96,6 +97,9 @@ def _play(arguments: argparse.Namespace) -> int:
         else:
             launch = replace(single_node("player", "player", values), name=path.stem)
 
+    if not arguments.open:
+        watch = f"sparseskin monitor --graph {launch.name}"
+        print(f"to see it: --open, or from another terminal {watch}", file=sys.stderr)
     launcher = Launcher(launch, Terminal(), keys=PLAY_KEYS)
     code = launcher.run()
     print_ends(launcher.summary()["nodes"])

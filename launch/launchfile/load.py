@@ -45,6 +45,8 @@ def find_launch_file(name: str) -> Path:
             raise LaunchError([f"{name}: {problem}"])
         return path
     if name not in bundled_names():
+        if path.suffix:
+            raise LaunchError([f"{name}: no such file"])
         hint = did_you_mean(name, bundled_names())
         raise LaunchError([f"{name}: no launch file of that name{hint}"])
     return BUNDLED / f"{name}.toml"

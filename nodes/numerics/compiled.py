@@ -31,7 +31,7 @@ NOT_INSTALLED = f"compiled loops: none without numba, several times slower; {REM
 NOT_IMPORTED = "compiled loops: numba cannot be imported; numpy is used"
 BLAS = "scipy.linalg.cython_blas"
 """Module through which compiled loops call BLAS."""
-COMPILING = "compiled loops: compiling, once on this machine; half a minute, more where it is busy"
+COMPILING = "compiled loops: compiling, once for this installation; a minute, more where it is busy"
 
 Count = Callable[[int, int], None]
 """Receives the number of loops that are compiled, and that of all."""

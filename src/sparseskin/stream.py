@@ -56,7 +56,7 @@ class Stream:
     host in two programs each make a stream with the same arguments: one calls `compress` alone, the
     other `reconstruct` alone. Use a stream in one thread.
 
-    The solver is made with the first frame that is reconstructed, which takes half a minute where
+    The solver is made with the first frame that is reconstructed, which takes a minute where
     numba first compiles it. A loop in real time reconstructs a frame of zeros before, and calls
     `reset`.
 

@@ -121,7 +121,8 @@ class Doubt:
 
     def _line_on(self, sign: Sign) -> str:
         depth = f"{-sign.lowest:.3g} {printable(self._skin.unit)}"
-        counts = f"{sign.n_falls} taxels fell by up to {depth} below rest, {sign.n_rises} rose"
+        falls = f"taxels fell {sign.n_falls} times, by up to {depth} below rest"
+        counts = f"{falls}, and rose {sign.n_rises} times"
         invert = "false" if self._is_inverted else "true"
         answers = f"invert={invert} if a press does that, tare={TARE_FRAMES} if nothing touches"
         return f"{counts}{ADD}{answers} them"
