@@ -134,20 +134,18 @@ def site(tmp_path_factory):
     """The site, built."""
     pytest.importorskip("mkdocs")
     pytest.importorskip("mkdocstrings")
-    folder = tmp_path_factory.mktemp("site")
-    pages = [sys.executable, "docs/site_pages.py", "out"]
+    # Another test process may build it, too.
+    out = tmp_path_factory.mktemp("out")
+    pages = [sys.executable, "docs/site_pages.py", str(out)]
     subprocess.run(pages, cwd=ROOT, check=True)
+    folder = out / "site"
+    config = (
+        (ROOT / "mkdocs.yml").read_text(encoding="utf-8").replace("out/", f"{out}/")
+    )
+    (out / "mkdocs.yml").write_text(config, encoding="utf-8")
+    build = [sys.executable, "-m", "mkdocs", "build", "--quiet", "--strict"]
     done = subprocess.run(
-        [
-            sys.executable,
-            "-m",
-            "mkdocs",
-            "build",
-            "--quiet",
-            "--strict",
-            "--site-dir",
-            folder,
-        ],
+        [*build, "--config-file", str(out / "mkdocs.yml")],
         cwd=ROOT,
         env={**os.environ, "NO_MKDOCS_2_WARNING": "1"},
         capture_output=True,

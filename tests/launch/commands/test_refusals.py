@@ -11,6 +11,7 @@ from sparseskin.launch.commands.cli import main
 
 LINES = {
     "launch path_4": "no launch file of that name (did you mean 'path_40'?)",
+    "launch none.csv": "none.csv: no such file",
     "launch none.toml": "none.toml: no such launch file",
     "launch ./pipe.toml": "./pipe.toml: is no regular file",
     "recording info 'a\nb.mcap'": "a b.mcap: no such file",

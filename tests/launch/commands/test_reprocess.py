@@ -8,6 +8,7 @@ from bags import record_scene
 from documented import check
 
 from sparseskin.launch.commands.cli import main
+from sparseskin.launch.commands.options import bag_names
 from sparseskin.messages import Reconstruction, Taxels, decode
 from sparseskin.nodes.errors import SettingsError
 from sparseskin.nodes.recorder import node as recorder_node
@@ -102,6 +103,12 @@ def test_of_several_recordings_the_sound_ones_are_finished(recording, tmp_path, 
     assert str(bad) in captured.err
     assert "box.mcap:" in captured.out
     assert [path.name for path in out.iterdir()] == ["box.mcap"]
+
+
+def test_one_recording_goes_into_a_folder_that_is_named_as_one(tmp_path):
+    folder = tmp_path / "results"
+    assert bag_names(["day1.mcap"], f"{folder}/") == [str(folder / "day1.mcap")]
+    assert folder.is_dir()
 
 
 def test_a_batch_that_is_repeated_computes_what_is_missing_and_nothing_else(
