@@ -45,22 +45,14 @@ class IdleWatch:
         Skin and noise model of all of them.
     phis : sequence of Phi
         One a row subset.
-    false_alarms : float
-        Probability of an alarm a frame and patch where nothing has changed, all tests together.
     """
 
-    def __init__(
-        self,
-        n_patches: int,
-        skin: SkinState,
-        phis: Sequence[Phi],
-        false_alarms: float = FALSE_ALARMS,
-    ) -> None:
+    def __init__(self, n_patches: int, skin: SkinState, phis: Sequence[Phi]) -> None:
         self._departures: Departures | None = None
         n_scores = 1
         if skin.sigma_end:
             self._departures = Departures(
-                skin, false_alarms, phis, n_windows=N_WINDOWS, most=MOST
+                skin, FALSE_ALARMS, phis, n_windows=N_WINDOWS, most=MOST
             )
             n_scores = self._departures.squares.n
         self._subsets = {phi.fingerprint: k for k, phi in enumerate(phis)}

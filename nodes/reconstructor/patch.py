@@ -130,7 +130,9 @@ class Patch:
             self.log(warning)
 
         budget_ms = settings.budget_ms
-        follows_rate = live and "iterations" not in options and _paces_of(solver)
+        follows_rate = (
+            live and "iterations" not in options and solver_fact(solver, "paces")
+        )
         if budget_ms is None and follows_rate and state.rate_hz:
             budget_ms = 1e3 * SHARE / state.rate_hz / settings.n_patches
         most_steps = sys.maxsize
@@ -347,12 +349,6 @@ class Patch:
         return contacts
 
 
-def _paces_of(solver: Solver) -> tuple[int, ...]:
-    """Numbers of steps that the rate may choose from."""
-    paces: tuple[int, ...] = solver_fact(solver, "paces")
-    return paces
-
-
 def _usual_steps(solver: Solver, most_steps: int) -> tuple[int, str]:
     """Number of steps that a budget allows in most frames; and which these are, in words."""
     if isinstance(solver, CountsTiles) and solver.times[0]:
@@ -365,7 +361,7 @@ def _use_times_of(patch: Patch, solver: Solver) -> None:
     """Let a solver do as many steps as that of a patch like its own: a frame takes as long."""
     if isinstance(solver, CountsTiles) and patch._tiles is not None:
         solver.use_times(*patch._tiles.times)
-    elif patch.most_steps in _paces_of(solver):
+    elif patch.most_steps in solver_fact(solver, "paces"):
         solver.use_pace(patch.most_steps)
 
 

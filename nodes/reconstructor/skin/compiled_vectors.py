@@ -145,14 +145,13 @@ class CompiledVectors(Vectors):
 
     def filter_rows(self, variances: RowVariances) -> Filtered:
         target_variance, n_known = self._loops.filter_rows(
-            *(
-                self._measured,
-                self._prediction,
-                self._filters,
-                self._targets,
-                self._recall,
-            ),
-            *(variances, self._filter_constants),
+            self._measured,
+            self._prediction,
+            self._filters,
+            self._targets,
+            self._recall,
+            variances,
+            self._filter_constants,
         )
         return Filtered(target_variance, n_known)
 
@@ -299,14 +298,13 @@ def _neighbours(tiles: Tiles) -> kernels.A:
 
 def _weights(gates: Gates) -> kernels.Weights:
     arrays = (
-        *(
-            gates.filters.T,
-            gates.hidden.T,
-            gates.hidden_0,
-            gates.gates.T,
-            gates.gates_0,
-        ),
-        *(gates.synthesis.T, gates.error[0]),
+        gates.filters.T,
+        gates.hidden.T,
+        gates.hidden_0,
+        gates.gates.T,
+        gates.gates_0,
+        gates.synthesis.T,
+        gates.error[0],
     )
     contiguous = [np.ascontiguousarray(array) for array in arrays]
     return kernels.Weights._make([*contiguous, float(gates.error_0[0])])
