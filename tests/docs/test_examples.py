@@ -117,8 +117,11 @@ def test_tasks_are_shared_by_the_processes_of_an_mpi_job(tmp_path):
 ROOT = Path(__file__).parents[2]
 FAULTS = """
     const missing = [...document.images].filter(i => i.complete && !i.naturalWidth);
+    const name = (e) => `${e.tagName}.${e.className}: ${e.textContent.slice(0, 40)}`;
+    const past = [...document.body.querySelectorAll("*")].filter(
+        e => e.getBoundingClientRect().right > innerWidth + 1).map(name);
     const wide = document.documentElement.scrollWidth > innerWidth;
-    return missing.map(i => i.src).concat(wide ? ["wider than the window"] : []);
+    return missing.map(i => i.src).concat(wide ? ["wider than the window", ...past] : []);
 """
 
 #: What people look for, and the page that has it.
