@@ -31,6 +31,8 @@ from .source import Address, LiveSource
 RESTART_NS = 1_000_000_000
 """A stamp that is earlier than the one before by so much is of a clock that was set or started
 again; by less, of a frame in the wrong place."""
+_END = object()
+"""A mark that no driver can yield."""
 
 
 class DriverSource(LiveSource):
@@ -49,6 +51,7 @@ class DriverSource(LiveSource):
         self._target = address.source
         self._driver = driver
         self._layout = layout
+        self._missing_numbers = layout.missing_numbers
         self._raw = address.raw
         self._arrangement: Arrangement | None = None
         self._shape: tuple[int, ...] = ()  # of the frames as they come
@@ -158,15 +161,12 @@ class DriverSource(LiveSource):
             iterator = iter(self._driver)
         self._is_one_shot = iterator is self._driver
 
-        # A mark that no driver can yield.
-        end = object()
         passed_ns = 0
         previous_ns: int | None = None
         try:
             for n in itertools.count():
-                with _running(target):
-                    item = next(iterator, end)
-                if item is end:
+                item = self._next_item(iterator)
+                if item is _END:
                     return
 
                 where = f"{target}, frame {n}"
@@ -184,6 +184,16 @@ class DriverSource(LiveSource):
         finally:
             with _running(target):
                 getattr(iterator, "close", lambda: None)()
+
+    def _next_item(self, iterator: Iterator[object]) -> object:
+        """What the driver yields next, `_END` at its end."""
+        # As `_running`, which would take longer than the driver in each frame.
+        try:
+            return next(iterator, _END)
+        except SourceError:
+            raise
+        except Exception as error:
+            raise _failure(self._target, error) from error
 
     def _checked_forces(self, forces: object, where: str) -> Floats:
         try:
@@ -210,10 +220,13 @@ class DriverSource(LiveSource):
             fault = f"forces have shape {array.shape}, but the skin has {skin.shape}"
             raise SourceError(f"{where}: {fault}")
 
-        with np.errstate(all="ignore"):
-            # Compared below with numbers as they are stated, so without rounding.
-            values = array.astype(_exact(array.dtype))
-        for number in self._layout.missing_numbers:
+        if array.dtype == np.float32:
+            values: npt.NDArray[Any] = array.copy()
+        else:
+            with np.errstate(all="ignore"):
+                # Compared below with numbers as they are stated, so without rounding.
+                values = array.astype(_exact(array.dtype))
+        for number in self._missing_numbers:
             values[values == number] = np.nan
         if skin is not None and skin.mask is not None:
             values[~skin.mask] = 0
@@ -323,4 +336,8 @@ def _running(target: str) -> Iterator[None]:
     except SourceError:
         raise
     except Exception as error:
-        raise SourceError(f"{target}: the driver failed: {one_line(error)}") from error
+        raise _failure(target, error) from error
+
+
+def _failure(target: str, error: Exception) -> SourceError:
+    return SourceError(f"{target}: the driver failed: {one_line(error)}")

@@ -388,16 +388,15 @@ class Sensor(SourceNode[SensorSettings]):
 
     def _watch_range(self) -> None:
         """Log clipped readings at first, then when doubled, `LOG_S` apart: wrong sign or unit."""
-        clipped = self._clipped()
-        n_clipped = clipped["clipped"]
+        n_clipped = self._clips.n
+        if n_clipped <= 2 * self._n_logged:
+            return
         now_ns = self.context.clock.now_ns()
-        is_time = (
-            not self._n_logged or now_ns - self._logged_ns >= LOG_S * 1_000_000_000
-        )
-        if n_clipped > 2 * self._n_logged and is_time:
-            self._n_logged = n_clipped
-            self._logged_ns = now_ns
-            self.context.log(clipped_text(clipped))
+        if self._n_logged and now_ns - self._logged_ns < LOG_S * 1_000_000_000:
+            return
+        self._n_logged = n_clipped
+        self._logged_ns = now_ns
+        self.context.log(clipped_text(self._clipped()))
 
     def _chosen_noise(self) -> NoiseModel:
         scale = self.settings.noise
@@ -427,8 +426,7 @@ class Sensor(SourceNode[SensorSettings]):
 
         self._widen()
         self._watch_range()
-        if source.is_live:
-            self._log_lines()
+        self._log_lines()
 
         if source.ended:
             self.exhausted = True
@@ -530,6 +528,8 @@ class Sensor(SourceNode[SensorSettings]):
             self.context.log(line)
 
     def idle(self) -> None:
+        if not self._source.arrives:
+            return
         # Frames that arrive before the start, or in a pause, would be old later.
         if self.paused or not self._t0_ns:
             self._source.discard()

@@ -61,15 +61,10 @@ class Clipped:
             readings = readings[self.mask]
         margin = self._margin.of(readings, high, noise)
         self.margin = margin if noise is None else None
-        self.sign.update(readings, low, margin)
+        lowest, highest = _ends(readings)
+        self.sign.update(readings, low, margin, lowest)
         self.n_now = 0
 
-        lowest = float(readings.min(initial=math.inf))
-        highest = float(readings.max(initial=-math.inf))
-        if math.isnan(lowest):
-            # Without NaN, and three times as slow.
-            lowest = float(np.fmin.reduce(readings, axis=None, initial=math.inf))
-            highest = float(np.fmax.reduce(readings, axis=None, initial=-math.inf))
         # Noise that is known may lie below the range: only what exceeds it counts.
         lower_end = low if noise is None else low - margin
         is_beyond = lowest < low or highest > high
@@ -92,8 +87,10 @@ class Clipped:
         """
         if self.mask is not None:
             readings = readings[self.mask]
-        margin = self.margin = self._margin.of(readings, high, None)
-        self.sign.update(readings, 0.0, margin)
+        margin = self._margin.of(readings, high, None)
+        self.margin = margin
+        lowest, _ = _ends(readings)
+        self.sign.update(readings, 0.0, margin, lowest)
         beyond = (readings < low - margin) | (readings > high + margin)
         self.n_now = int(np.count_nonzero(beyond))
 
@@ -119,6 +116,17 @@ class Clipped:
             "f_max": f_max,
             "unit": unit,
         }
+
+
+def _ends(readings: npt.NDArray[Any]) -> tuple[float, float]:
+    """The least and the greatest reading of a frame, NaN being none."""
+    lowest = float(readings.min(initial=math.inf))
+    highest = float(readings.max(initial=-math.inf))
+    if math.isnan(lowest):
+        # Without NaN, and three times as slow.
+        lowest = float(np.fmin.reduce(readings, axis=None, initial=math.inf))
+        highest = float(np.fmax.reduce(readings, axis=None, initial=-math.inf))
+    return lowest, highest
 
 
 def clipped_text(report: Mapping[str, Any]) -> str:

@@ -24,6 +24,9 @@ MOST_WHOLE = 0.03
 noise of less than a step of the converter moves a reading by 2."""
 N_SPREADS = 9
 """Frames whose median shows the noise. Chosen: longer than the onset of a load."""
+EVERY = 4
+"""Once there are as many, one frame of this number is measured. Chosen: noise changes slowly, and
+the medians cost as much as all that is asked of a frame besides."""
 N_SHOWN = 256
 """Least number of taxels of a large skin that show the noise. Chosen: 6 % of error."""
 MAD_TO_SD = 1.4826
@@ -53,7 +56,8 @@ class Sign:
         self.n_rises = 0
         self.lowest = 0.0
         self._n_below = 0
-        self._below: Mask = np.zeros(0, np.bool_)
+        #: Taxels that were below in the last frame; None: none was.
+        self._below: Mask | None = None
         self._above: Mask = np.zeros(0, np.bool_)
 
     @property
@@ -68,48 +72,73 @@ class Sign:
         """True if all frames are in doubt."""
         return self.n_falls >= max(FALLS, FALLS_PER_RISE * self.n_rises + 1)
 
-    def update(self, readings: npt.NDArray[Any], low: float, margin: float) -> None:
+    def update(
+        self, readings: npt.NDArray[Any], low: float, margin: float, lowest: float
+    ) -> None:
         """Add a frame, (rows, cols), NaN where a reading is missing; `low` is the lower end of the
-        range, 0 or less, `margin` what noise may exceed.
+        range, 0 or less, `margin` what noise may exceed, `lowest` the least of the readings.
         """
-        below = readings < low - margin
         above = readings > margin
-        if self._below.shape != below.shape:
-            self._below = np.zeros_like(below)
-            self._above = np.zeros_like(below)
+        if self._above.shape != above.shape:
+            self._below = None
+            self._above = np.zeros_like(above)
         # True is more than False: those that were not before.
         self.n_rises += int(np.count_nonzero(above > self._above))
-        self._n_below = int(np.count_nonzero(below))
-        if self._n_below:
-            self.n_falls += int(np.count_nonzero(below > self._below))
-            self.lowest = min(self.lowest, float(np.nanmin(readings)))
-        self._below = below
         self._above = above
+
+        # Hardly a frame has a reading as low.
+        if lowest >= low - margin:
+            self._n_below = 0
+            self._below = None
+            return
+        below = readings < low - margin
+        self._n_below = int(np.count_nonzero(below))
+        was_below = np.False_ if self._below is None else self._below
+        self.n_falls += int(np.count_nonzero(below > was_below))
+        self.lowest = min(self.lowest, lowest)
+        self._below = below
 
 
 class Margin:
     """What the noise of readings may exceed an end of the range by."""
 
     def __init__(self) -> None:
-        self._previous: npt.NDArray[Any] | None = None
+        self._n_frames = 0
+        self._previous: Doubles | None = None
         self._spreads: deque[float] = deque(maxlen=N_SPREADS)
+        self._floor = 0.0
+        self._margin = 0.0
 
     def of(
         self, readings: npt.NDArray[Any], f_max: float, noise: float | None
     ) -> float:
         """Margin of a frame, in its unit; `noise` is its standard deviation, None if not known:
-        then it is the median of what some taxels show in the last frames.
+        then it is the median of what some taxels show in some of the last frames.
         """
         if noise is not None:
             return touch_level(noise, f_max, SIGMAS)
         floor = UNKNOWN * f_max
+        is_known = len(self._spreads) == N_SPREADS and floor == self._floor
+        phase = self._n_frames % EVERY
+        self._n_frames += 1
+        # A change since the frame before takes two frames in a row.
+        if is_known and phase < EVERY - 2:
+            return self._margin
 
-        step = (
-            max(readings.size // N_SHOWN, 1) | 1
-        )  # odd, as rows often have an even number
-        values = readings.reshape(-1)[::step].astype(np.float64)
+        values = some_of(readings).astype(np.float64)
         previous = self._previous
         self._previous = values
+        if is_known and phase == EVERY - 2:
+            return self._margin
+        self._floor = floor
+        self._margin = self._measured(values, previous, f_max)
+        return self._margin
+
+    def _measured(
+        self, values: Doubles, previous: Doubles | None, f_max: float
+    ) -> float:
+        """Margin by the values of some taxels, and those of the frame before where it is known."""
+        floor = UNKNOWN * f_max
         # The sum of squares is finite if all values are, unless they are huge.
         energy = float(np.vdot(values, values))
         if not math.isfinite(energy):
@@ -129,6 +158,13 @@ class Margin:
         if is_whole and (values == np.rint(values)).all():
             floor = max(floor, min(WHOLE, MOST_WHOLE * f_max))
         return max(SIGMAS * median_spread, floor)
+
+
+def some_of(readings: npt.NDArray[Any]) -> npt.NDArray[Any]:
+    """Readings of `N_SHOWN` to some more taxels of a frame, spread over it; all of a small one."""
+    # Odd, as rows often have an even number.
+    step = max(readings.size // N_SHOWN, 1) | 1
+    return readings.reshape(-1)[::step]
 
 
 def _spread(values: Doubles, previous: Doubles | None) -> float:

@@ -9,7 +9,7 @@ import numpy as np
 from sparseskin.messages import Reason
 from sparseskin.messages.skin import Skin
 from sparseskin.nodes.numerics.arrays import Floats, Indices, Mask, mean_of_near
-from sparseskin.nodes.sensor.sign import Margin
+from sparseskin.nodes.sensor.sign import Margin, some_of
 
 CHANCE = 1e-12
 """Probability at which the noise of a taxel repeats one reading so often. Chosen: at 1 kHz one in
@@ -57,9 +57,12 @@ class Repeats:
         self._margin = Margin()
         self._exists = skin.exists.reshape(-1)
         self._are_all = skin.mask is None
+        self._counted_exist = some_of(self._exists)
         self.stuck: Mask = np.zeros(skin.shape, np.bool_)
         self._is_any_stuck = False
         self._last: Floats = np.zeros(0, np.float32)
+        #: Of the taxels that are counted, those that repeated their last reading.
+        self._counted_repeated: Mask = np.zeros(0, np.bool_)
         #: Taxels that repeated their last reading, and how often in a row.
         self._repeated: Indices = np.zeros(0, np.intp)
         self._runs: Indices = np.zeros(0, np.intp)
@@ -92,11 +95,13 @@ class Repeats:
         if readings.size != before.size:
             self._repeated = self._repeated[:0]
             self._runs = self._runs[:0]
+            self._counted_repeated = self._counted_repeated[:0]
             return ""
 
+        is_repeated = np.logical_and(self._last == before, readings)
+        self._count(some_of(before), some_of(is_repeated), margin)
         # Hardly a taxel repeats: what follows is done for those alone.
-        repeated = np.flatnonzero((self._last == before) & (readings != 0))
-        self._count(before, repeated, margin)
+        repeated = np.flatnonzero(is_repeated)
         self._extend_runs(repeated, readings.size)
         if not repeated.size:
             return ""
@@ -135,6 +140,8 @@ class Repeats:
     @property
     def cells(self) -> list[int]:
         """Flat cells of the stuck taxels, in order; of many the first `MAX_CELLS`."""
+        if not self._is_any_stuck:
+            return []
         return [int(cell) for cell in np.flatnonzero(self.stuck)[:MAX_CELLS]]
 
     def filled(self, forces: Floats) -> Floats:
@@ -146,18 +153,23 @@ class Repeats:
         works = self._exists.reshape(forces.shape) & ~self.stuck
         return np.where(self.stuck, mean_of_near(forces, works), forces)
 
-    def _count(self, before: Floats, repeated: Indices, margin: float) -> None:
-        """Add the pairs of readings of untouched taxels to the counts."""
+    def _count(self, before: Floats, is_repeated: Mask, margin: float) -> None:
+        """Add the pairs of readings of untouched taxels to the counts, by some of the taxels: their
+        readings in the frame before, and whether they repeat these.
+        """
         untouched = np.abs(before) <= margin
         if not self._are_all:
-            untouched &= self._exists
-        shown = untouched & (before != 0)
+            untouched &= self._counted_exist
+        shown = np.logical_and(untouched, before)
         self._n_untouched += int(np.count_nonzero(untouched))
         self._n_shown += int(np.count_nonzero(shown))
 
-        shown[self._repeated] = False
+        # The first reading of a pair is no repetition itself.
+        if self._counted_repeated.size == shown.size:
+            shown &= ~self._counted_repeated
+        self._counted_repeated = is_repeated
         self._n_pairs += int(np.count_nonzero(shown))
-        self._n_repeated += int(np.count_nonzero(shown[repeated]))
+        self._n_repeated += int(np.count_nonzero(shown & is_repeated))
 
     def _needed(self) -> float:
         """Number of repetitions of a stuck taxel; infinite where none shows."""

@@ -86,14 +86,19 @@ def test_a_report_has_the_counts_and_the_range():
     }
 
 
+def add(sign, frame):
+    """Add a frame whose noise is at most 0.1."""
+    sign.update(frame, 0.0, 0.1, np.nanmin(frame))
+
+
 def fallen(n_falls, n_rises):
     """The sign of readings of which some are below rest and others above."""
     sign = Sign()
     frame = np.zeros(40)
-    sign.update(frame, 0.0, 0.1)
+    add(sign, frame)
     frame[:n_falls] = -1.0
     frame[20 : 20 + n_rises] = 1.0
-    sign.update(frame, 0.0, 0.1)
+    add(sign, frame)
     return sign
 
 
@@ -106,7 +111,7 @@ def test_readings_fall_where_more_than_three_do_for_each_that_rises(n_falls, n_r
     assert sign.is_found == (n_falls > 3 * n_rises and n_falls >= 4)
     assert sign.lowest == (-1.0 if n_falls else 0.0)
     # Later frames are in doubt only where the sign is found.
-    sign.update(np.zeros(40), 0.0, 0.1)
+    add(sign, np.zeros(40))
     assert sign.falls == sign.is_found
 
 
@@ -122,7 +127,7 @@ def test_a_taxel_falls_once_until_it_has_been_back():
         (0.05, 2, 1),
         (1.0, 2, 2),
     ):
-        sign.update(np.array([value]), 0.0, 0.1)
+        add(sign, np.array([value]))
         assert sign.n_falls == n_falls
         assert sign.n_rises == n_rises
     assert sign.lowest == -2.0
@@ -133,7 +138,7 @@ def test_a_taxel_falls_once_until_it_has_been_back():
 
 def test_noise_is_no_fall_and_no_rise():
     sign = Sign()
-    sign.update(np.array([-0.1, 0.1, np.nan]), 0.0, 0.1)
+    add(sign, np.array([-0.1, 0.1, np.nan]))
     assert sign.n_falls == 0
     assert sign.n_rises == 0
 
