@@ -117,6 +117,8 @@ class NodeHost:
         late_inputs: Collection[str] = (),
     ) -> None:
         self.node = node
+        self.is_source = isinstance(node, SourceNode)
+        self._works_between = type(node).idle is not Node.idle
         self.run_id = run_id
         self.inputs = tuple(node.inputs(node.settings) if inputs is None else inputs)
         self.outputs = node.outputs(node.settings)
@@ -132,10 +134,6 @@ class NodeHost:
         self.refusal = ""
         self._log = log
         self._last_stamp_ns = 0
-
-    @property
-    def is_source(self) -> bool:
-        return isinstance(self.node, SourceNode)
 
     def start(self) -> Iterator[Message]:
         """Messages of the node before its first step."""
@@ -231,7 +229,8 @@ class NodeHost:
 
     def idle(self) -> None:
         """Let the node do its periodic work."""
-        self._do(self.node.idle)
+        if self._works_between:
+            self._do(self.node.idle)
 
     def close(self) -> None:
         """Let the node finish its files and devices."""

@@ -19,13 +19,17 @@ POLL_MS = 100
 """Longest wait, so that signals are noticed."""
 SLEEP_NS = 1_500_000
 """Last part of a wait for a tick, which is a sleep: the poller counts whole milliseconds."""
+SLEEP_ALONE_NS = 20_000_000
+"""The same in a process that reads no node: a sleep alone costs half of a poll and a sleep, and
+commands and new readers, which alone come there, can wait for so long. Chosen."""
 
 
-def waiting_ms(left_ns: int) -> int:
-    """Time for which the poller may wait, ms, if a tick is due in `left_ns`; 0: the rest is one
-    sleep, since a poller that does not wait would be called again and again until then.
+def waiting_ms(left_ns: int, sleep_ns: int) -> int:
+    """Time for which the poller may wait, ms, if a tick is due in `left_ns` and the last part of
+    the wait, `sleep_ns` or up to 1 ms more, is to be a sleep. 0: all of it is, since a poller that
+    does not wait would be called again and again until then.
     """
-    return max(0, (left_ns - SLEEP_NS) // 1_000_000)
+    return max(0, (left_ns - sleep_ns) // 1_000_000)
 
 
 class Loop:
@@ -39,6 +43,8 @@ class Loop:
     def __init__(self, control: Control) -> None:
         self.control = control
         self._runners: list[Runner] = []
+        self._served: Runner | None = None
+        self._looked_ns = 0  # when the poller was asked last
         self._poller = zmq.Poller()
 
     def run(self) -> None:
@@ -117,6 +123,9 @@ class Loop:
         return context
 
     def _turn_to(self, runner: Runner) -> None:
+        if runner is self._served:
+            return
+        self._served = runner
         self.control = runner.control
         sys.stdout = sys.stderr = runner.log_file
 
@@ -131,17 +140,28 @@ class Loop:
     def _wait(self) -> dict[Any, int]:
         """Wait for an event, a signal or the next tick; return sockets and files that are ready."""
         caught_up = True
+        reads = False
         left_ns = POLL_MS * 1_000_000
         for runner in self._runners:
             self._turn_to(runner)
             caught_up = caught_up and runner.caught_up
+            reads = reads or runner.reader is not None
             of_node_ns = runner.left_ns()
             if of_node_ns is not None:
                 left_ns = min(left_ns, of_node_ns)
-        timeout_ms = waiting_ms(left_ns) if caught_up else 0
 
+        now_ns = time.monotonic_ns()
+        looked_lately = now_ns < self._looked_ns + SLEEP_ALONE_NS
+        if not reads and looked_lately and 0 < left_ns < SLEEP_ALONE_NS:
+            time.sleep(left_ns / 1e9)
+            return {}
+
+        timeout_ms = waiting_ms(left_ns, SLEEP_NS if reads else SLEEP_ALONE_NS)
+        if not caught_up:
+            timeout_ms = 0
         ready: dict[Any, int] = dict(self._poller.poll(timeout_ms))
-        # Less than a millisecond of the wait is left.
+        self._looked_ns = now_ns
+        # The rest of the wait is a sleep.
         if timeout_ms == 0 and caught_up and left_ns > 0 and not ready:
             time.sleep(left_ns / 1e9)
             return ready

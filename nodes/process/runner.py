@@ -60,6 +60,7 @@ class Runner:
         self.clock = SystemClock(config["offset_ns"])
         self.host = self._make_host(config)
         self.streams = frozenset(topic.encode() for topic in self.host.streams)
+        self._control_fd = control.connection.fileno()
         self.host.raised = lambda error: control.emit("raised", trace=trace_of(error))
         tally = config.get("tally")
         if tally:
@@ -188,7 +189,7 @@ class Runner:
             self._receive(self.reader)
         if self.unanswered:
             self._answer()
-        if self.control.connection.fileno() in ready:
+        if self._control_fd in ready:
             self._execute_commands()
         if self.client is not None and self.client.connection.fileno() in ready:
             self._hear(self.client)
@@ -245,7 +246,7 @@ class Runner:
     def _source(self) -> SourceNode[Any] | None:
         """The node, if it is a source that may tick."""
         node = self.host.node
-        if isinstance(node, SourceNode) and self.started and not self.host.finished:
+        if self.started and isinstance(node, SourceNode) and not self.host.finished:
             return node
         return None
 
@@ -380,7 +381,7 @@ class Runner:
 
     def _report(self) -> None:
         """Send events to the launcher: ready, heartbeat, failure, end."""
-        if self.connected and not self.ready and self.expected <= self.writer.present:
+        if not self.ready and self.connected and self.expected <= self.writer.present:
             self.ready = True
             self.control.emit("ready")
         now_ns = time.monotonic_ns()

@@ -164,15 +164,20 @@ def test_slow_frames_keep_a_command_waiting_for_one_frame_at_most(
     assert n_frames == n
 
 
-@given(st.integers(-(10**9), 10**11))
-def test_a_wait_for_a_tick_is_a_poll_that_waits_and_one_sleep_at_most(left_ns):
+@given(
+    left_ns=st.integers(-(10**9), 10**11),
+    sleep_ns=st.sampled_from([loop.SLEEP_NS, loop.SLEEP_ALONE_NS]),
+)
+def test_a_wait_for_a_tick_is_a_poll_that_waits_and_one_sleep_at_most(
+    left_ns, sleep_ns
+):
     n_polls = 0
-    while (waiting_ms := loop.waiting_ms(left_ns)) > 0:
+    while (waiting_ms := loop.waiting_ms(left_ns, sleep_ns)) > 0:
         left_ns -= waiting_ms * 1_000_000
         n_polls += 1
         assert left_ns > 0
     assert n_polls <= 1
-    assert left_ns < loop.SLEEP_NS + 1_000_000
+    assert left_ns < sleep_ns + 1_000_000
 
 
 def test_what_a_killed_process_has_counted_is_there_to_the_last_message():
