@@ -248,8 +248,10 @@ class Scores:
     touched: list[tuple[float, int]] = field(default_factory=list)
     relative: list[float] = field(default_factory=list)
     estimates: list[float] = field(default_factory=list)
-    # Of each of these: part of the touched taxels whose true force is within its band of 90 %.
+    # Of each of these: part of the touched taxels whose true force is within its band of 90 %, and
+    # within that of the true RMS error in place of the estimated one.
     in_band: list[float] = field(default_factory=list)
+    in_true_band: list[float] = field(default_factory=list)
     # Of each untouched frame: True if its reconstruction is a ghost (`GHOST`).
     ghosts: list[bool] = field(default_factory=list)
     # Of each frame with an estimate: True if it is marked; its relative error, NaN without contact.
@@ -285,22 +287,26 @@ class Scores:
             self.relative.append(off / norm)
             if solved.error is not None and off:
                 n = truth.size if self.mask is None else np.count_nonzero(self.mask)
-                self.estimates.append(solved.error * math.sqrt(n) / off)
-                self.in_band += self._in_band(solved, error, truth)
+                rms = off / math.sqrt(n)
+                self.estimates.append(solved.error / rms)
+                self.in_band += self._in_band(solved.forces, solved.error, truth)
+                self.in_true_band += self._in_band(solved.forces, rms, truth)
         if self.total and float(self._taxels(truth).sum()) <= UNTOUCHED * self.total:
             total = float(self._taxels(solved.forces).sum())
             self.ghosts.append(total > GHOST * self.total)
 
-    def _in_band(self, solved: Solved, error: Floats, truth: Floats) -> list[float]:
-        """Part of the touched taxels whose error is within its band; none if nothing touches."""
+    def _in_band(self, forces: Floats, error: float, truth: Floats) -> list[float]:
+        """Part of the touched taxels whose true force is within the band of an RMS error; none if
+        nothing touches.
+        """
         is_touched = truth > CONTACT_FRACTION * self.f_max_n
         if not is_touched.any():
             return []
         exists = (
             np.ones(truth.shape, dtype=np.bool_) if self.mask is None else self.mask
         )
-        sd = deviations(solved.forces, solved.error or 0.0, exists)
-        return [float(np.mean(np.abs(error) <= BAND * sd, where=is_touched))]
+        is_held = np.abs(forces - truth) <= BAND * deviations(forces, error, exists)
+        return [float(np.mean(is_held, where=is_touched))]
 
     def _taxels(self, image: Floats) -> Doubles:
         """Values of the taxels that exist."""

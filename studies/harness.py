@@ -318,8 +318,10 @@ SCORES: dict[str, Callable[[Scores], Any]] = {
     "estimate_close": lambda s: _mean(
         [1 / CLOSE < ratio < CLOSE for ratio in s.estimates], 100
     ),
-    # Touched taxels of these frames whose true force is within its band of 90 %, in %.
+    # Touched taxels of these frames whose true force is within its band of 90 %, in %; the same
+    # with the true RMS error of each frame.
     "held": lambda s: _mean(s.in_band, 100),
+    "held_by_true": lambda s: _mean(s.in_true_band, 100),
     **{
         f"estimate_{name}": lambda s, percent=percent: _percentile(s.estimates, percent)  # type: ignore[misc]
         for name, percent in (("low", 5), ("median", 50), ("high", 95))

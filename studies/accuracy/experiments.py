@@ -138,7 +138,7 @@ MARKS = (
 )
 ESTIMATES = (
     *("estimate_low", "estimate_median", "estimate_high", "estimate_close"),
-    "held",
+    *("held", "held_by_true"),
 )
 
 

@@ -490,6 +490,8 @@ def marks(rows: pd.DataFrame, keys: list[str]) -> tuple[Any, ...]:
         by_ratio(rows, keys, "{estimate_close:.0f}"),
         "True forces of touched taxels within 1.645 standard deviations, of 90, in %:",
         by_ratio(rows, keys, "{held:.0f}"),
+        "The same, of bands by the true RMS error of each frame in place of the estimated one:",
+        by_ratio(rows, keys, "{held_by_true:.0f}"),
         "\n".join(f"- {line}" for line in marked(rows)),
     )
 
