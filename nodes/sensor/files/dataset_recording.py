@@ -15,7 +15,9 @@ from sparseskin.messages.text import printable
 from sparseskin.nodes.errors import SourceError
 from sparseskin.nodes.numerics.arrays import Mask
 from sparseskin.nodes.sensor.layout import times
+from sparseskin.nodes.sensor.layout.arrangement import Axis
 from sparseskin.nodes.sensor.layout.checks import parse_number, shown
+from sparseskin.nodes.sensor.layout.roles import CHANNEL, FRAMES, label_role, roles_of
 from sparseskin.nodes.sensor.layout.tally import Tally
 
 from .datasets import (
@@ -36,7 +38,6 @@ from .datasets import (
     times_key,
     times_keys,
 )
-from .frame_axis import CHANNEL, FrameAxis, find_frame_axis, has_time_column
 from .recording import Block, File, Head, Recording, frames_per_block
 from .table.columns import time_of_rows
 
@@ -45,7 +46,8 @@ class _Plan(NamedTuple):
     """Places of the frames and of their times."""
 
     key: str
-    frames: FrameAxis
+    frame_axis: int | None  # None: the array is one frame
+    items: tuple[Axis, ...]  # the other axes, with their roles as labels
     time_key: str  # "": none
     time_column: int | None  # of the frames themselves
     notes: tuple[str, ...]
@@ -54,7 +56,7 @@ class _Plan(NamedTuple):
 class DatasetRecording(Recording):
     """The frames of an array, with times and properties from arrays beside it, or attributes.
 
-    The array is that of `frames_key`, its axis of frames that of `find_frame_axis`. Times are an
+    The array is that of `frames_key`, its axes are those of `roles_of`. Times are an
     array of one axis with a name of times and as long, or a column of a table. Optional are, as
     arrays in the same group or around it: `rate_hz`, `f_max`, `pitch_m`, one number each; `unit`, a
     text; `mask`, of the sides of a frame, True or 1 where a taxel exists; `points`, float32 of
@@ -75,7 +77,7 @@ class DatasetRecording(Recording):
     def blocks(self) -> Iterator[Block]:
         plan = self._plan
         self.tally.begin()
-        size = frames_per_block(math.prod(axis.size for axis in plan.frames.items))
+        size = frames_per_block(math.prod(axis.size for axis in plan.items))
         stamps = self._times(plan, size)
         for numbers in self._numbers(plan, size):
             n = len(numbers)
@@ -90,10 +92,10 @@ class DatasetRecording(Recording):
 
     def _numbers(self, plan: _Plan, size: int) -> Iterator[npt.NDArray[Any]]:
         """Blocks of at most `size` frames, (k, *sides of a frame)."""
-        if plan.frames.axis is None:
+        if plan.frame_axis is None:
             blocks = iter([self._arrays.property_array(plan.key)[np.newaxis]])
         else:
-            blocks = self._arrays.blocks(plan.key, plan.frames.axis, size)
+            blocks = self._arrays.blocks(plan.key, plan.frame_axis, size)
         packing = self._packing(plan.key)
         for block in blocks:
             if block.dtype.kind == "b":
@@ -155,25 +157,35 @@ class DatasetRecording(Recording):
         first_is_usual: bool | None = arrays.has_frames_first
         if first_is_usual and arrays.last_part(key) == FORCES:
             first_is_usual = None
-        frames = find_frame_axis(layout, arrays.shape(key), n_times, first_is_usual)
+        axes = arrays.axes(key)
+        where = arrays.where(key)
+        roles, is_guess = roles_of(layout, axes, where, True, n_times, first_is_usual)
+        items = []
         n_frames = 1
-        place = "one frame"
-        if frames.axis is not None:
-            n_frames = dataset.sides[frames.axis]
-            place = f"axis {frames.axis + 1} counts frames"
+        frame_axis = None
+        for at, (role, axis) in enumerate(zip(roles, axes, strict=True)):
+            if role == FRAMES:
+                frame_axis = at
+                n_frames = axis.size
+            else:
+                # A label that states the role may state more, as xyz.
+                label = axis.label if label_role(axis) == role else role
+                items.append(axis._replace(label=label))
         time_key, time_notes = times_key(arrays, layout, key, keys, n_frames)
 
-        about = dataset.text
+        about = f"{dataset.text}: axes {','.join(roles)}"
         if key:
             about = f"array {printable(key)}, {about}"
-        notes = [f"{about}: {place} ({frames.reason})", *arrays.notes, *time_notes]
+        if is_guess:
+            about += ", the first one as is usual"
+        notes = [about, *arrays.notes, *time_notes]
         packing = self._packing(key)
         if packing:
             text = ", ".join(f"{name} = {value:g}" for name, value in packing.items())
             notes.append(f"its numbers are read with {text}")
         if dataset.dtype.kind == "b":
             notes.append("True and False are read as 1 and 0")
-        plan = _Plan(key, frames, time_key, None, tuple(notes))
+        plan = _Plan(key, frame_axis, tuple(items), time_key, None, tuple(notes))
         return self._with_time_column(plan)
 
     def _check_dataset(self, key: str) -> None:
@@ -196,10 +208,10 @@ class DatasetRecording(Recording):
         UnstatedError if a column may be the times.
         """
         layout = self._layout
-        items = plan.frames.items
+        items = plan.items
         where = self._arrays.where(plan.key)
-        is_stated = has_time_column(layout)
-        is_row = len(items) == 1 and plan.frames.axis is not None
+        is_stated = layout.has_time_column
+        is_row = len(items) == 1 and plan.frame_axis is not None
         if is_stated and not is_row:
             fault = f"time = {layout.time}, but a frame is no row of numbers"
             raise SourceError(f"{where}: {fault}; state none, or the name of an array")
@@ -217,7 +229,7 @@ class DatasetRecording(Recording):
     def _head(self) -> Head:
         plan = self._plan
         dataset = self._arrays.datasets[plan.key]
-        items = plan.frames.items
+        items = plan.items
         usable = None
         if len(items) == 1 and (plan.time_column is not None or self._layout.columns):
             usable = tuple(k for k in range(items[0].size) if k != plan.time_column)
@@ -230,8 +242,8 @@ class DatasetRecording(Recording):
         if long_name:
             title = (f"long name: {printable(text_of(long_name))[:60]}",)
         n_items = 1
-        if plan.frames.axis is not None:
-            n_items = dataset.sides[plan.frames.axis]
+        if plan.frame_axis is not None:
+            n_items = dataset.sides[plan.frame_axis]
         return Head(
             items,
             usable,
@@ -366,9 +378,9 @@ class DatasetRecording(Recording):
             return None, ()
         where = self._arrays.where(path)
         dataset = self._arrays.datasets[path]
-        items = plan.frames.items
+        items = plan.items
         # A taxel exists, or not, with all of its channels.
-        mask_sides = [1 if axis.label == CHANNEL else axis.size for axis in items]
+        mask_sides = [1 if label_role(axis) == CHANNEL else axis.size for axis in items]
         sides = tuple(side for side in mask_sides if side > 1)
         if plan.time_column is not None:
             sides = (sides[0] - 1,)

@@ -15,10 +15,10 @@ from sparseskin.messages.fields import MAX_ELEMENTS
 from sparseskin.messages.text import printable
 from sparseskin.nodes.errors import SourceError
 from sparseskin.nodes.sensor.layout import times
+from sparseskin.nodes.sensor.layout.arrangement import Axis
 from sparseskin.nodes.sensor.layout.checks import choose, shown
 from sparseskin.nodes.sensor.layout.layout import Layout, UnstatedError
-
-from .frame_axis import ArrayShape, can_be_frames, has_time_column
+from sparseskin.nodes.sensor.layout.roles import are_roles_possible
 
 TACTILE = "tactile_data"
 """Part of the names of arrays of tactile datasets."""
@@ -125,10 +125,14 @@ class ArrayFile(ABC):
                     return path
         return ""
 
-    def shape(self, key: str) -> ArrayShape:
+    def axes(self, key: str) -> list[Axis]:
+        """The axes of an array, with their labels and names of entries."""
         dataset = self.datasets[key]
         labels = dataset.labels or ("",) * len(dataset.sides)
-        return ArrayShape(dataset.sides, labels, self.where(key), dataset.names)
+        return [
+            Axis(side, labels[at], dataset.names.get(at, ()))
+            for at, side in enumerate(dataset.sides)
+        ]
 
     def property_array(self, key: str) -> npt.NDArray[Any]:
         """An array that is no larger than one of a property. Raises SourceError if it is."""
@@ -199,9 +203,8 @@ def _candidates(arrays: ArrayFile, layout: Layout) -> list[str]:
     # Masks are of bool.
     numbers = [key for key, kind in readable.items() if kind != "b"]
     keys = numbers or [*readable]
-    if layout.axes:
-        return keys
-    return [key for key in keys if can_be_frames(layout, arrays.shape(key))] or keys
+    fitting = [key for key in keys if are_roles_possible(layout, arrays.axes(key))]
+    return fitting or keys
 
 
 def _rivals(arrays: ArrayFile, grid: str, keys: Sequence[str]) -> list[str]:
@@ -225,7 +228,7 @@ def times_keys(arrays: ArrayFile, layout: Layout) -> list[str]:
     behind another word. Raises SourceError if the stated one is none.
     """
     time_name = layout.time
-    if time_name == NO_TIMES or has_time_column(layout):
+    if time_name == NO_TIMES or layout.has_time_column:
         return []
     lists = [
         key

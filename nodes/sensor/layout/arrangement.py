@@ -16,23 +16,9 @@ from sparseskin.nodes.errors import SourceError
 from sparseskin.nodes.numerics.arrays import Indices
 
 from .layout import Layout, UnstatedError
-from .names import COL_WORDS, NORMAL, ROW_WORDS, select
+from .names import NORMAL, select
+from .roles import CHANNEL, COLS, ROWS, XYZ, roles_of
 
-ROWS = (*ROW_WORDS, "height", "row_count")
-COLS = (*COL_WORDS, "width", "col_count")
-UNNAMED = "numbers"
-"""Label of columns without names, of which some may be no taxels."""
-CHANNELS = (
-    "channel",
-    "channels",
-    "axis",
-    "axes",
-    "xyz",
-    "component",
-    "components",
-    "dim",
-)
-XYZ = ("x", "y", "z")
 MAX_WAYS = 8
 
 
@@ -79,9 +65,9 @@ def arrange(
         raise SourceError(
             f"{where}: an item holds {n_numbers} numbers; allowed: 1..{MAX_ELEMENTS}"
         )
-    places = np.arange(n_numbers).reshape(sizes)
-    labelled = list(axes)
+    places: npt.NDArray[Any] = np.arange(n_numbers)
     notes: tuple[str, ...] = ()
+    may_hold_others = False
 
     is_named = any(axis.names for axis in axes)
     if len(axes) == 1 and (is_named or usable is not None):
@@ -92,17 +78,13 @@ def arrange(
         places = places[list(selection.columns)]
         notes = (*selection.notes, *_left_out(names, remaining, selection.columns))
         if selection.shape is not None:
-            n_rows, n_cols = selection.shape
-            places = places.reshape(n_rows, n_cols)
-            labelled = [Axis(n_rows, "rows"), Axis(n_cols, "cols")]
-        else:
-            have_numbers = all(re.search(r"\d", names[k]) for k in selection.columns)
-            is_certain = have_numbers or bool(layout.columns)
-            labelled = [Axis(places.size, "taxels" if is_certain else UNNAMED)]
+            places = places.reshape(selection.shape)
+        have_numbers = all(re.search(r"\d", names[k]) for k in selection.columns)
+        may_hold_others = not (have_numbers or layout.columns)
     else:
-        places, labelled, notes = _one_channel(layout, places, labelled, where)
+        places, notes = _one_channel(layout, places, axes, where)
 
-    places = _as_grid(layout, places, labelled, where)
+    places = _as_grid(layout, places, may_hold_others, where)
     n_rows, n_cols = places.shape
 
     check_grid(n_rows, n_cols, where)
@@ -167,72 +149,23 @@ def _left_out(
 
 
 def _one_channel(
-    layout: Layout, places: npt.NDArray[Any], axes: list[Axis], where: str
-) -> tuple[npt.NDArray[Any], list[Axis], tuple[str, ...]]:
-    """The places of one channel, without axes of one entry."""
-    if len(axes) > 2:
-        axes = [axis for axis in axes if axis.size > 1] or axes[-1:]
+    layout: Layout, places: npt.NDArray[Any], axes: Sequence[Axis], where: str
+) -> tuple[npt.NDArray[Any], tuple[str, ...]]:
+    """The places of one channel, as a list of taxels or as rows and columns."""
+    roles, _ = roles_of(layout, axes, where)
     places = places.reshape([axis.size for axis in axes])
-
-    at = _channel_axis(layout, axes, where)
-    if at is None and len(axes) > 2:
-        hint = "state axes, as rows,cols,channel, and channel"
-        raise UnstatedError(
-            f"{where}: an item has {len(axes)} axes, {_sides(axes)}; {hint}"
-        )
-    if at is None:
-        return places, axes, ()
-    entry, note = _entry(layout, axes[at], where)
-    return np.take(places, entry, axis=at), axes[:at] + axes[at + 1 :], (note,)
-
-
-def _channel_axis(layout: Layout, axes: list[Axis], where: str) -> int | None:
-    """The axis of the channels: by its label, or where a channel is stated the smallest one that
-    may have it and leaves a frame. UnstatedError if there are two.
-    """
-    for at, axis in enumerate(axes):
-        if axis.label.lower() in CHANNELS or tuple(map(str.lower, axis.names)) == XYZ:
-            return at
-    # An axis of two may be the channels only if the number of taxels shows it.
-    min_axes = 3 if layout.n_stated is None else 2
-    if not layout.channel or len(axes) < min_axes:
-        return None
-
-    n_numbers = math.prod(axis.size for axis in axes)
-    fitting = []
-    for at, axis in enumerate(axes):
-        leaves_frame = layout.n_stated in (None, n_numbers // axis.size)
-        if leaves_frame and may_hold_channel(layout.channel, axis.size):
-            fitting.append(at)
-    if not fitting:
-        return len(axes) - 1 if len(axes) == 3 else None
-    min_size = min(axes[at].size for at in fitting)
-    smallest = [at for at in fitting if axes[at].size == min_size]
-    if len(smallest) > 1:
-        fault = (
-            f"which axis of {_sides(axes)} has channel {layout.channel} is not stated"
-        )
-        ways = [_with_channel_at(at, len(axes)) for at in smallest]
-        raise UnstatedError.between(f"{where}: {fault}", "axes", ways)
-    return smallest[0]
-
-
-def _sides(axes: Sequence[Axis]) -> str:
-    """Sizes of axes, as "4 x 4 x 3"."""
-    return " x ".join(str(axis.size) for axis in axes)
-
-
-def _with_channel_at(at: int, n_axes: int) -> str:
-    """The setting `axes` of the axes of an item."""
-    names = ["rows", "cols"] if n_axes == 3 else ["taxels"]
-    return ",".join([*names[:at], "channel", *names[at:]])
-
-
-def may_hold_channel(channel: str, size: int) -> bool:
-    """True if an axis with so many entries can be that of the channels."""
-    if channel.isdecimal():
-        return int(channel) < size
-    return channel.lower() not in XYZ or size == len(XYZ)
+    notes: tuple[str, ...] = ()
+    if CHANNEL in roles:
+        at = roles.index(CHANNEL)
+        entry, note = _entry(layout, axes[at], where)
+        places = places[(slice(None),) * at + (slice(entry, entry + 1),)]
+        notes = (note,)
+    if ROWS not in roles:
+        return places.reshape(-1), notes
+    if roles.index(COLS) < roles.index(ROWS):
+        places = places.transpose()
+    sizes = {role: axis.size for role, axis in zip(roles, axes, strict=True)}
+    return places.reshape(sizes[ROWS], sizes[COLS]), notes
 
 
 def _entry(layout: Layout, axis: Axis, where: str) -> tuple[int, str]:
@@ -264,28 +197,22 @@ def _entry(layout: Layout, axis: Axis, where: str) -> tuple[int, str]:
 
 
 def _as_grid(
-    layout: Layout, places: npt.NDArray[Any], axes: list[Axis], where: str
+    layout: Layout, places: npt.NDArray[Any], may_hold_others: bool, where: str
 ) -> npt.NDArray[Any]:
     """Places as rows and columns; UnstatedError if nothing states them."""
     n_rows = layout.n_rows
     n_cols = layout.n_cols
-    if len(axes) == 2:
-        labels = [axis.label.lower() for axis in axes]
-        is_transposed = labels[0] in COLS or (
-            labels[1] in ROWS and labels[0] not in ROWS
-        )
-        grid = places.T if is_transposed else places
-        is_stated_flat = 1 in grid.shape and layout.n_stated == grid.size
+    if places.ndim == 2:
+        is_stated_flat = 1 in places.shape and layout.n_stated == places.size
         if not is_stated_flat:
-            check_stated_shape(grid.shape[0], grid.shape[1], n_rows, n_cols, where)
-            return grid
-        places = grid
+            check_stated_shape(places.shape[0], places.shape[1], n_rows, n_cols, where)
+            return places
 
     n = places.size
     if not (n_rows or n_cols):
         fault = f"a frame holds {n} readings, in which shape is not stated"
         ways = f"state n_rows and n_cols, {shapes_of(n)}"
-        if axes[0].label == UNNAMED:
+        if may_hold_others:
             ways += ", or columns if not all are readings"
         raise UnstatedError(f"{where}: {fault}: {ways}")
     n_rows = n_rows or max(1, n // (n_cols or 1))

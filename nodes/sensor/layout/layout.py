@@ -31,6 +31,8 @@ TIME_UNITS = ("", "ns", "us", "ms", "s", "clock")
 """Units of times; clock: hours, minutes and seconds of a day, which begins again at midnight."""
 AXES = ("frames", "rows", "cols", "taxels", "channel", "-")
 """Names of the axes of an array; -: an axis of one entry."""
+ENDS = ("first", "last")
+"""Columns of times, beside numbers."""
 NUMBERS_AS_TEXTS = ("columns", "channel", "time", "missing")
 """Keys of texts that may be stated as a number, too: time=1, missing=-1."""
 MAX_WAYS = 8
@@ -197,6 +199,11 @@ class Layout(GridLayout):
         if not self.axes.strip():
             return ()
         return tuple(name.strip() for name in self.axes.split(","))
+
+    @property
+    def has_time_column(self) -> bool:
+        """True if the times are stated to be a column of the readings."""
+        return self.time in ENDS or self.time.isdecimal()
 
     @property
     def accepts_missing(self) -> bool:

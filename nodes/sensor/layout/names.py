@@ -114,10 +114,10 @@ def _families(names: Sequence[str], usable: Sequence[int]) -> dict[Family, list[
 def _family(name: str) -> Family:
     axis = AXIS.search(name.lower())
     channel = axis[1] if axis else ""
-    return Family(_pattern(name), channel)
+    return Family(pattern_of(name), channel)
 
 
-def _pattern(name: str) -> str:
+def pattern_of(name: str) -> str:
     """A name with # for each number."""
     return re.sub(r"\d+", "#", name)
 
@@ -233,7 +233,7 @@ def _placed(
     layout: Layout, names: Sequence[str], columns: list[int], notes: tuple[str, ...]
 ) -> Selection:
     """The columns in the order of the numbers in their names, and their places in a grid."""
-    patterns = {_pattern(names[k]) for k in columns}
+    patterns = {pattern_of(names[k]) for k in columns}
     if len(patterns) != 1 or "#" not in next(iter(patterns)):
         return Selection(tuple(columns), None, notes)
 

@@ -12,7 +12,8 @@ import numpy.typing as npt
 
 from sparseskin.messages.text import printable
 from sparseskin.nodes.errors import SourceError
-from sparseskin.nodes.sensor.layout.arrangement import COLS, ROWS, XYZ, Axis
+from sparseskin.nodes.sensor.layout.arrangement import Axis
+from sparseskin.nodes.sensor.layout.roles import COL_LABELS, ROW_LABELS, XYZ
 from sparseskin.plugins.bridges.cdr import CLOUD
 
 from .decoding import Message
@@ -293,7 +294,7 @@ def _joined(walked: _Walked) -> Numbers:
     axes = walked.axes
     n = walked.values.size
     # Axes that nothing names are one, in the order of the message.
-    has_labels = any(axis.label.lower() in (*ROWS, *COLS) for axis in axes)
+    has_labels = any(axis.label.lower() in (*ROW_LABELS, *COL_LABELS) for axis in axes)
     if len(axes) < 2 or not has_labels:
         # The last axis may be x, y and z.
         n_channels = 1

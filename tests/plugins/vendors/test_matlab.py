@@ -155,7 +155,7 @@ def test_whole_float64_numbers_are_stored_as_bytes_in_either_order(tmp_path, ord
     [
         (
             mat(a=LAST),
-            "state axes=frames,rows,cols .3 frames. or .*axes=rows,cols,frames",
+            "state axes=frames,rows,cols or .*axes=rows,cols,frames",
         ),
         (mat(a=LAST, b=LAST), r"a .3 x 4 x 2., b .3 x 4 x 2.; state topic"),
         (mat(a="text"), "holds no arrays of frames"),

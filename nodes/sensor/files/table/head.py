@@ -6,25 +6,15 @@ import re
 from collections.abc import Sequence
 
 import numpy as np
-import numpy.typing as npt
 
 from sparseskin.nodes.errors import SourceError
 from sparseskin.nodes.sensor.files.recording import File
 from sparseskin.nodes.sensor.layout.checks import is_missing, shown
-from sparseskin.nodes.sensor.layout.layout import Layout, UnstatedError
-from sparseskin.nodes.sensor.layout.names import (
-    COL_WORDS,
-    ROW_WORDS,
-)
+from sparseskin.nodes.sensor.layout.layout import UnstatedError
+from sparseskin.nodes.sensor.layout.names import COL_WORDS, ROW_WORDS, pattern_of
 from sparseskin.nodes.sensor.layout.times import are_likely, is_time_name, rate_of
 
-from .columns import (
-    counters,
-    nanoseconds_beside,
-    source_column,
-    time_column,
-    unit_of_column,
-)
+from .columns import counters, find_times, source_column
 from .sample import (
     FRAME_WORDS,
     GRID,
@@ -35,11 +25,11 @@ from .sample import (
     LongColumns,
     Place,
     TableHead,
-    is_indexed,
     is_number,
     is_value,
+    numbers_of,
 )
-from .text import COMMENTS, Dialect, dialect_of, pieces
+from .text import COMMENTS, dialect_of, pieces
 
 MAX_SAMPLE = 1000
 MIN_SAMPLE = 50
@@ -71,7 +61,7 @@ NUMBER_LINE = re.compile(r"[^\w.+-]*[A-Za-z_]*\W*?(\d+(?:\.\d+)?)\W*")
 FRAME_NAME = re.compile(r"frame|img|image|sample|row|line|t\d|\W*\d", re.IGNORECASE)
 """Begin of names of frames, and of rows of a grid, which are none of taxels."""
 EXCEL_LINE = re.compile(r"sep=(.)", re.IGNORECASE)
-VALUE_WORDS = (
+VALUE_WORDS = [
     "value",
     "val",
     "v",
@@ -81,8 +71,8 @@ VALUE_WORDS = (
     "data",
     "count",
     "counts",
-)
-TAXEL_WORDS = (
+]
+TAXEL_WORDS = [
     "taxel",
     "taxel_id",
     "sensor",
@@ -91,72 +81,423 @@ TAXEL_WORDS = (
     "cell",
     "electrode",
     "id",
-)
+]
 
 
 def read_head(file: File) -> TableHead:
     """Read the begin of a table. Raises SourceError if it holds no line of numbers, UnstatedError
     if the column of the times is not clear.
     """
-    layout = file.layout
-    raw = _first_lines(file)
-    separator, n_skipped = _excel(raw, layout)
-    bodies = [(number, text) for number, text in raw[n_skipped:] if _is_body(text)]
-    if not bodies:
+    head = _sampled(file)
+    _find_data(head)
+    if not head.data:
         raise SourceError(f"{file.name}: the recording holds no frame")
-    dialect = dialect_of([text for _, text in bodies[len(bodies) // 3 :]])
-    if separator:
-        dialect = dialect._replace(separator=separator)
-    lines = [Line(number, text, tuple(dialect.cells(text))) for number, text in bodies]
-
-    # Width, names, and where the data begin.
-    head = _sized(dialect, lines)
-    lines = [line for line in lines if len(line.cells) in _widths(head)]
-    data = _headed(head, lines, raw, n_skipped, file)
-    if not data:
-        raise SourceError(f"{file.name}: the recording holds no frame")
-    head.n_before = data[0].number - 1
-    numeric = {k for k in range(head.width) if _is_numeric(data, k, layout)}
-    head.numeric = tuple(sorted(numeric | _without_readings(head, data, numeric)))
-    if not head.numeric:
-        place = f"{file.name}, line {data[0].number}"
-        raise SourceError(f"{place}: no column holds numbers; state columns, or skip")
-
-    _find_kind(head, file, raw, data)
+    head.n_before = head.data[0].number - 1
+    _find_numeric(head)
+    _find_kind(head, bool(file.parts))
     if head.kind == LINES:
-        _ask_for_axes(head, layout, data, file.name)
-        head.source = source_column(head, layout, data, file.name)
-    if head.source is not None:
-        data = [line for line in data if line.cells[head.source] == layout.frame_id]
-    _rate(head, raw, data[0].number)
-    _find_times(head, layout, raw, data, file.name)
+        _ask_for_axes(head)
+        head.source = source_column(head)
+    source = head.source
+    if source is not None:
+        skin = head.layout.frame_id
+        head.data = [line for line in head.data if line.cells[source] == skin]
+    _find_rate(head)
+
+    # The lines of a block have no times of their own.
+    if head.kind == GRID:
+        _ask_for_titles(head)
+    else:
+        find_times(head)
+    no_taxels = (head.time, head.nanoseconds, source, *counters(head))
+    head.usable = tuple(k for k in head.numeric if k not in no_taxels)
     _note_texts(head)
     return head
 
 
-def _find_times(
-    head: TableHead,
-    layout: Layout,
-    raw: list[tuple[int, str]],
-    data: Sequence[Line],
-    name: str,
-) -> None:
-    """Find the columns of the times, and those that are left."""
-    # The lines of a block have no times of their own.
-    if head.kind == GRID:
-        _ask_for_titles(head, layout, raw, name, data[0].number)
+def _sampled(file: File) -> TableHead:
+    """A head with the first lines, and the number of cells of those that hold most numbers: a
+    preamble of settings may have more lines than a short table.
+    """
+    texts = _first_lines(file)
+    n_skipped = file.layout.skip
+    separator = ""
+    excel = EXCEL_LINE.fullmatch(texts[0].strip()) if texts else None
+    if excel is not None:
+        separator = excel[1]
+        n_skipped = max(n_skipped, 1)
+    bodies = [text for text in texts[n_skipped:] if _is_body(text)]
+    if not bodies:
+        raise SourceError(f"{file.name}: the recording holds no frame")
+    later = bodies[len(bodies) // 3 :]
+    dialect = dialect_of(later)
+    if separator:
+        dialect = dialect._replace(separator=separator)
+
+    by_width: dict[int, list[list[str]]] = {}
+    for text in later:
+        cells = dialect.cells(text)
+        by_width.setdefault(len(cells), []).append(cells)
+    # Numbers in all lines of a width, by those of its last one.
+    n_numbers = {
+        width: len(rows) * max(1, sum(map(is_number, rows[-1])))
+        for width, rows in by_width.items()
+    }
+    width = max(n_numbers, key=n_numbers.__getitem__)
+
+    # A separator at the end of each line begins no cell.
+    ends_empty = all(cells[-1] == "" for cells in by_width[width])
+    has_trailing = width > 1 and ends_empty and dialect.separator != " "
+    head = TableHead(file.layout, file.name, dialect, width - has_trailing)
+    head.has_trailing = has_trailing
+    head.n_before = n_skipped
+    for number, text in enumerate(texts, start=1):
+        head.raw.append(Line(number, text, dialect.cells(text)))
+    return head
+
+
+def _first_lines(file: File) -> list[str]:
+    sample: list[str] = []
+    n_characters = 0
+    for piece in pieces(file.file, file.name):
+        texts = piece.lines
+        # The last line of a file that is still written may be a part of one.
+        if piece.is_cut and len(texts) > 2:
+            texts = texts[:-1]
+        for text in texts:
+            sample.append(text)
+            n_characters += len(text)
+            is_enough = n_characters > SAMPLE_CHARACTERS and len(sample) >= MIN_SAMPLE
+            if is_enough or len(sample) >= MAX_SAMPLE:
+                return sample
+    return sample
+
+
+def _is_body(text: str) -> bool:
+    """True if a line is neither blank nor a comment. A header may begin with %."""
+    stripped = text.strip()
+    return bool(stripped) and not stripped.startswith(("#", "//"))
+
+
+def _find_data(head: TableHead) -> None:
+    """Find the lines of data, and the names before them."""
+    lines = [line for line in head.raw[head.n_before :] if _is_body(line.text)]
+    lines = [line for line in lines if head.has_width(line.cells)]
+    head.names = ("",) * head.width
+    if head.dialect.names:
+        head.names = ("",) * head.dialect.has_prefix + head.dialect.names
+        head.data = lines
+        return
+    # A title of as many words as the table has columns stands before the names of these.
+    while len(lines) > 2 and _are_names(lines[1].cells[: head.width]):
+        lines = lines[1:]
+    first, *later = lines
+    cells = first.cells[: head.width]
+
+    # Numbers above lines of taxels are the times.
+    counts = _count_columns(cells)
+    rows = [line.cells[: head.width] for line in later]
+    is_labelled = bool(rows) and _are_labels(cells, rows)
+    is_labelled = is_labelled and (counts or not head.layout.axes)
+    if is_labelled or _is_header(cells, rows):
+        # Positions are no names: their digits count nothing.
+        if not is_labelled or counts:
+            head.names = tuple(cell.strip() for cell in cells)
+        if is_labelled:
+            head.notes += (f"the line {shown(first.text)} labels the columns",)
+        head.header = first.text
+        head.data = [line for line in later if line.text != first.text]
+        _drop_units(head)
     else:
-        head.time = time_column(head, layout, data, name)
-    if head.time is not None:
-        head.nanoseconds = nanoseconds_beside(head, head.time)
-        head.time_unit = unit_of_column(head, data, layout)
-    no_taxels = (
-        head.time,
-        head.nanoseconds,
-        head.source,
-        *counters(head, layout, data, name),
-    )
-    head.usable = tuple(k for k in head.numeric if k not in no_taxels)
+        _ask_for_label(head, first, rows)
+        head.data = lines
+        _name_by_comment(head, first.number)
+        if head.width > 1 and counts:
+            note = "the first line counts: it is read as a frame; skip=1 if it is names"
+            head.notes += (note,)
+    if head.data and not any(map(is_value, head.data[0].cells)):
+        head.data = []
+
+
+def _drop_units(head: TableHead) -> None:
+    """Drop the line of units below the names, if there is one."""
+    if len(head.data) < 2:
+        return
+    units, *later = head.data
+    rows = [line.cells for line in later]
+    cells = units.cells[: head.width]
+    if _is_header(cells, rows) and not any(map(is_number, cells)):
+        head.units = units.text
+        head.data = later
+
+
+def _are_names(cells: Sequence[str]) -> bool:
+    """True if cells are no numbers, and most are names with numbers, or one is that of times."""
+    if any(map(is_value, cells)):
+        return False
+    n_indexed = sum(bool(re.search(r"\d", cell)) for cell in cells)
+    return 2 * n_indexed > len(cells) or any(map(is_time_name, cells))
+
+
+def _is_header(cells: Sequence[str], rows: Sequence[Sequence[str]]) -> bool:
+    """True if a line has texts in columns that hold numbers below."""
+    for k, cell in enumerate(cells):
+        n_values = sum(is_value(row[k]) for row in rows)
+        # A single text above numbers is enough: a name.
+        if cell and not is_value(cell) and 2 * n_values > len(rows):
+            return True
+    return False
+
+
+def _are_labels(cells: Sequence[str], rows: Sequence[Sequence[str]]) -> bool:
+    """True if a line of numbers has the numbers or the places of the columns, as no line below."""
+    # An index of the lines has no label.
+    begin = int(cells[0] == "")
+    labels = cells[begin:]
+    if not labels or not all(map(is_number, labels)):
+        return False
+    rows = [row[begin:] for row in rows]
+    if _count_columns(labels):
+        # Names in any order; the same order makes even what a test pattern has below.
+        order = sorted(range(len(labels)), key=lambda k: int(labels[k]))
+        labels = [labels[k] for k in order]
+        rows = [[row[k] for k in order] for row in rows]
+    if not _rises(labels):
+        return False
+
+    parts = _parts(rows)
+    if all("." in label for label in labels) and not any(map(_decimals, parts)):
+        return True
+    forms = list(map(_decimals, _parts([labels])))
+    is_alike = any(form in forms for form in map(_decimals, parts))
+    if not is_alike and len(rows) >= FORMED <= len(labels):
+        return True
+    # Frames of a test pattern go on so.
+    is_long = len(labels) >= EVEN or bool(begin)
+    return is_long and _is_even(labels) and not any(map(_is_even, parts))
+
+
+def _ask_for_label(head: TableHead, first: Line, rows: Sequence[Sequence[str]]) -> None:
+    """Raise UnstatedError if a long line of numbers rises, and no line below does."""
+    cells = first.cells[: head.width]
+    if head.layout.axes or not rows or len(cells) < RISING or not _rises(cells):
+        return
+    if not any(map(_rises, _parts(rows))):
+        fault = f"line {first.number} rises, as none below"
+        ways = "skip if it labels the columns, axes=frames,taxels if it is a frame"
+        raise UnstatedError(f"{head.name}: {fault}: state {ways}")
+
+
+def _parts(rows: Sequence[Sequence[str]]) -> list[Sequence[str]]:
+    """Rows, and what stands in them beside a time at an end, which has a form of its own."""
+    return [part for row in rows for part in (row, row[1:], row[:-1])]
+
+
+def _rises(cells: Sequence[str]) -> bool:
+    return bool((np.diff(numbers_of(cells)) > 0).all())
+
+
+def _is_even(cells: Sequence[str]) -> bool:
+    """True if numbers rise in steps of one size."""
+    steps = np.diff(numbers_of(cells))
+    return bool((steps > 0).all() and np.allclose(steps, steps[:1], rtol=1e-3))
+
+
+def _decimals(cells: Sequence[str]) -> int:
+    """Most decimals of a cell."""
+    return max((len(cell.partition(".")[2]) for cell in cells), default=0)
+
+
+def _count_columns(cells: Sequence[str]) -> bool:
+    """True for 0, 1, 2, ... or 1, 2, 3, ... in any order, perhaps behind an empty cell."""
+    counted = [cell for cell in cells if cell]
+    counted.sort(key=lambda cell: (len(cell), cell))
+    n = len(counted)
+    counts = ([*map(str, range(n))], [*map(str, range(1, n + 1))])
+    return n > 0 and counted in counts
+
+
+def _name_by_comment(head: TableHead, first_number: int) -> None:
+    """Names of columns in the comment before the data, as np.savetxt writes them."""
+    before = [line.text.strip() for line in head.raw if line.number < first_number]
+    comment = next(filter(None, reversed(before)), "")
+    if not comment.startswith(COMMENTS):
+        return
+    names = tuple(head.dialect.cells(comment.lstrip("#%/ ")))
+    if len(names) != head.width or any(map(is_number, names)):
+        return
+    if any(is_time_name(name) or re.search(r"\d", name) for name in names):
+        head.names = names
+
+
+def _find_numeric(head: TableHead) -> None:
+    """Find the columns of which most cells that are not missing are numbers, and some is; and those
+    of missing numbers alone that are named like these: taxels that are dead.
+    """
+    empty = []
+    numeric = []
+    for k in range(head.width):
+        cells = [cell for cell in head.cells(k) if not is_missing(cell)]
+        if not cells:
+            empty.append(k)
+        cells = [c for c in cells if c.lower() not in head.layout.missing_texts]
+        n_numbers = sum(map(is_number, cells))
+        if n_numbers and 2 * n_numbers >= len(cells):
+            numeric.append(k)
+    patterns = {pattern_of(head.names[k]) for k in numeric if head.is_indexed(k)}
+    dead = [k for k in empty if pattern_of(head.names[k]) in patterns]
+    head.numeric = tuple(sorted({*numeric, *dead}))
+    if not head.numeric:
+        place = f"{head.name}, line {head.n_before + 1}"
+        raise SourceError(f"{place}: no column holds numbers; state columns, or skip")
+
+
+def _find_kind(head: TableHead, has_parts: bool) -> None:
+    """Find whether a frame is a line, a block of lines, or a line for each taxel."""
+    layout = head.layout
+    # It may be stated that a frame is a line.
+    if layout.axes:
+        return
+    head.long = _long_columns(head)
+    if head.long is not None:
+        head.kind = LONG
+        sides = " x ".join(str(place.size) for place in head.long.places)
+        head.notes += (f"a line for each taxel: {sides}",)
+        return
+    is_named = head.header or head.dialect.names
+    if is_named or layout.columns or layout.time not in ("", "none"):
+        return
+
+    n_stated = layout.n_stated or 0
+    heights = _block_heights(head)
+    is_even = len(heights) > 1 and len({*heights[:-1]}) == 1 and heights[0] > 1
+    if n_stated > head.width == layout.n_cols:
+        head.height = layout.n_rows or 1
+    elif is_even and not n_stated:
+        head.height = heights[0]
+    elif has_parts and not n_stated:
+        head.height = sum(heights)
+    else:
+        return
+    head.kind = GRID
+    note = f"a frame is a block of {head.height} lines of {head.width} readings"
+    head.notes += (note,)
+
+
+def _is_row(head: TableHead, line: Line) -> bool:
+    return head.has_width(line.cells) and any(map(is_number, line.cells))
+
+
+def _block_heights(head: TableHead) -> list[int]:
+    """Lines of numbers in each block between blank lines or lines of text."""
+    heights = [0]
+    for line in head.raw:
+        is_row = line.number > head.n_before and _is_row(head, line)
+        if is_row:
+            heights[-1] += 1
+        elif heights[-1]:
+            heights.append(0)
+    return [height for height in heights if height]
+
+
+def _long_columns(head: TableHead) -> LongColumns | None:
+    """Columns of frame, row, column and value, or of frame, taxel and value, where the names state
+    them.
+    """
+    names = [name.lower() for name in head.names]
+
+    def only(words: Sequence[str]) -> int | None:
+        columns = [k for k in head.numeric if names[k] in words]
+        return columns[0] if len(columns) == 1 else None
+
+    sides = [only((*ROW_WORDS, "i")), only((*COL_WORDS, "j"))]
+    stated = [head.layout.n_rows, head.layout.n_cols]
+    if sides == [None, None]:
+        sides = [only(TAXEL_WORDS)]
+        stated = [None]
+    value = only(VALUE_WORDS)
+    frames = [k for k in head.numeric if names[k] in FRAME_WORDS]
+    frames += [k for k in range(head.width) if is_time_name(names[k])]
+    if None in sides or value is None or not frames:
+        return None
+
+    # The first frame shows the sides.
+    keys = head.cells(frames[0])
+    n_lines = sum(key == keys[0] for key in keys)
+    places = []
+    for column, size in zip(sides, stated, strict=True):
+        assert column is not None
+        cells = head.cells(column)[:n_lines]
+        if not all(map(str.isdecimal, cells)):
+            return None
+        numbers = list(map(int, cells))
+        begin = min(numbers)
+        places.append(Place(column, begin, size or max(numbers) - begin + 1))
+    return LongColumns(frames[0], tuple(places), value)
+
+
+def _ask_for_axes(head: TableHead) -> None:
+    """Raise UnstatedError if lines have names of taxels, as s0, s1, and are as many as these where
+    their number is stated.
+    """
+    n_stated = head.layout.n_stated
+    if head.layout.columns or head.layout.axes or 0 in head.numeric:
+        return
+    names = [name for name in head.cells(0) if not is_time_name(name)]
+    patterns = {pattern_of(name) for name in names}
+    is_one_family = len(patterns) == 1 and "#" in patterns.pop()
+    if len(set(names)) < max(2, len(names)) or not is_one_family:
+        return
+    are_taxels = n_stated == len(names) or (n_stated is None and not head.header)
+    if not are_taxels or FRAME_NAME.match(names[0]):
+        return
+    lines = f"lines are named {shown(names[0])}, {shown(names[-1])}"
+    ways = "state axes=taxels,frames, or axes=frames,taxels if a line is a frame"
+    # Of so many lines as taxels are stated, the names are those of taxels.
+    options = [{"axes": "taxels,frames"}] if n_stated else []
+    fault = f"{lines}: which are taxels is not stated; {ways}"
+    raise UnstatedError(f"{head.name}: {fault}", *options)
+
+
+def _find_rate(head: TableHead) -> None:
+    """Find the rate that a line before the table states."""
+    rates: dict[float, str] = {}
+    for line in head.raw:
+        match = RATE_LINE.fullmatch(line.text)
+        if match is not None and line.number <= head.n_before:
+            rate_hz = rate_of(match[1], float(match[2]), match[3].lower())
+            rates[rate_hz] = line.text.strip()
+    rates.pop(0.0, None)
+    if len(rates) == 1:
+        ((head.rate_hz, text),) = rates.items()
+        head.notes += (f"the rate is that of the line {shown(text)}",)
+
+
+def _ask_for_titles(head: TableHead) -> None:
+    """Raise SourceError if lines between the frames of a grid state times, which are not read."""
+    layout = head.layout
+    if layout.rate_hz is not None or layout.time or head.rate_hz is not None:
+        return
+    between = [line for line in head.raw if not _is_row(head, line)]
+    titles = [line for line in between if TITLE_TIME.search(line.text)]
+    counted = []
+    counts = []
+    for line in between:
+        match = NUMBER_LINE.fullmatch(line.text)
+        if match is not None and line not in titles:
+            counted.append(line)
+            counts.append(float(match[1]))
+    # Numbers of the frames rise by 1, times do not.
+    if len(counts) > 2 and are_likely(np.array(counts)):
+        titles += counted
+    # One such line is about the whole recording.
+    is_later = any(line.number > head.n_before for line in titles)
+    if is_later and len(titles) > 1:
+        number, text, _ = titles[0]
+        fault = (
+            f"line {number}, {shown(text.strip())}, states a time, which is not read"
+        )
+        raise SourceError(f"{head.name}: {fault}; state rate_hz, or time=none")
 
 
 def _note_texts(head: TableHead) -> None:
@@ -169,439 +510,3 @@ def _note_texts(head: TableHead) -> None:
         if len(texts) > MAX_SHOWN:
             labels += ", ..."
         head.notes += (f"no numbers, and left out: column {labels}",)
-
-
-def _ask_for_axes(
-    head: TableHead, layout: Layout, data: Sequence[Line], name: str
-) -> None:
-    """Raise UnstatedError if lines have names of taxels, as s0, s1, and are as many as these where
-    their number is stated.
-    """
-    if layout.columns or layout.axes or 0 in head.numeric:
-        return
-    if head.header and layout.n_stated is None:
-        return
-    names = [line.cells[0] for line in data if not is_time_name(line.cells[0])]
-    patterns = {re.sub(r"\d+", "#", text) for text in names}
-    is_one_family = len(patterns) == 1 and "#" in patterns.pop()
-    if len(set(names)) < max(2, len(names)) or not is_one_family:
-        return
-    if layout.n_stated not in (None, len(names)) or FRAME_NAME.match(names[0]):
-        return
-    fault = f"lines are named {shown(names[0])}, {shown(names[-1])}: which are taxels is not stated"
-    ways = "state axes=taxels,frames, or axes=frames,taxels if a line is a frame"
-    # Of so many lines as taxels are stated, the names are those of taxels.
-    options = [{"axes": "taxels,frames"}] if layout.n_stated else []
-    raise UnstatedError(f"{name}: {fault}; {ways}", *options)
-
-
-def _first_lines(file: File) -> list[tuple[int, str]]:
-    """Numbers and texts of the first lines of a file."""
-    sample: list[tuple[int, str]] = []
-    n_characters = 0
-    for piece in pieces(file.file, file.name):
-        texts = piece.lines
-        # The last line of a file that is still written may be a part of one.
-        if piece.is_cut and len(texts) > 2:
-            texts = texts[:-1]
-        for number, text in enumerate(texts, start=piece.number):
-            sample.append((number, text))
-            n_characters += len(text)
-            is_enough = n_characters > SAMPLE_CHARACTERS and len(sample) >= MIN_SAMPLE
-            if is_enough or len(sample) >= MAX_SAMPLE:
-                return sample
-    return sample
-
-
-def _excel(raw: list[tuple[int, str]], layout: Layout) -> tuple[str, int]:
-    """The separator that the first line states for Excel, and the lines that are not looked at."""
-    if not raw:
-        return "", layout.skip
-    _, text = raw[0]
-    match = EXCEL_LINE.fullmatch(text.strip())
-    if match is None:
-        return "", layout.skip
-    return match[1], max(layout.skip, 1)
-
-
-def _is_body(text: str) -> bool:
-    """True if a line is neither blank nor a comment. A header may begin with %."""
-    stripped = text.strip()
-    return bool(stripped) and not stripped.startswith(("#", "//"))
-
-
-def _sized(dialect: Dialect, lines: Sequence[Line]) -> TableHead:
-    """A head with the number of cells of the lines that hold most numbers: a preamble of settings
-    may have more lines than a short table.
-    """
-    later = lines[len(lines) // 3 :]
-    by_width: dict[int, list[Line]] = {}
-    for line in later:
-        by_width.setdefault(len(line.cells), []).append(line)
-
-    # Numbers in all lines of a width, by those of its last one.
-    n_numbers = {}
-    for width, of_width in by_width.items():
-        n_in_line = sum(map(is_number, of_width[-1].cells))
-        n_numbers[width] = len(of_width) * max(1, n_in_line)
-    width = max(n_numbers, key=n_numbers.__getitem__)
-
-    # A separator at the end of each line begins no cell.
-    ends_empty = all(line.cells[-1] == "" for line in by_width[width])
-    has_trailing = width > 1 and ends_empty and dialect.separator != " "
-    return TableHead(dialect, width - has_trailing, has_trailing)
-
-
-def _widths(head: TableHead) -> tuple[int, ...]:
-    """Numbers of cells that a line may have."""
-    if head.has_trailing:
-        return (head.width, head.width + 1)
-    return (head.width,)
-
-
-def _headed(
-    head: TableHead,
-    lines: list[Line],
-    raw: list[tuple[int, str]],
-    n_skipped: int,
-    file: File,
-) -> list[Line]:
-    """The lines of data; the head learns the names before them."""
-    head.names = ("",) * head.width
-    if head.dialect.names:
-        head.names = ("",) * head.dialect.has_prefix + head.dialect.names
-        return lines
-    # A title of as many words as the table has columns stands before the names of these.
-    while len(lines) > 2 and _are_names(lines[1].cells[: head.width]):
-        lines = lines[1:]
-    begin = lines[0]
-    cells = begin.cells[: head.width]
-    later = lines[1:] or lines[:1]
-    is_labelled = len(lines) > 1 and _are_labels(cells, later)
-    if file.layout.axis_names:
-        # It is stated what a line is: above lines of taxels, numbers are the times.
-        is_labelled = is_labelled and _counts_columns(cells)
-    elif len(lines) > 1 and not is_labelled and _alone_rises(cells, later):
-        fault = f"line {begin.number} rises, as none below"
-        ways = (
-            "state skip if it labels the columns, axes=frames,taxels if it is a frame"
-        )
-        raise UnstatedError(f"{file.name}: {fault}: {ways}")
-    if is_labelled or (len(lines) > 1 and _is_header(cells, later)):
-        # Positions are no names: their digits count nothing.
-        if not is_labelled or _counts_columns(cells):
-            head.names = tuple(name.strip() for name in cells)
-        if is_labelled:
-            head.notes += (f"the line {shown(begin.text)} labels the columns",)
-        head.header = begin.text
-        lines = _without_units(
-            head, [line for line in later if line.text != begin.text]
-        )
-    elif len(lines) == 1 and not any(map(is_number, begin.cells)):
-        return []
-    else:
-        _named_by_comment(head, raw[n_skipped:], begin.number)
-        if head.width > 1 and _counts_columns(cells):
-            head.notes += (
-                "the first line counts: it is read as a frame; skip=1 if it is names",
-            )
-
-    if lines and not any(is_value(cell) for cell in lines[0].cells):
-        return []
-    return lines
-
-
-def _without_units(head: TableHead, lines: list[Line]) -> list[Line]:
-    """The lines below the names, without that of the units."""
-    units = lines[0].cells[: head.width]
-    is_header = len(lines) > 1 and _is_header(units, lines[1:])
-    if not is_header or any(map(is_number, units)):
-        return lines
-    head.units = lines[0].text
-    return lines[1:]
-
-
-def _are_names(cells: Sequence[str]) -> bool:
-    """True if cells are no numbers, and most are names with numbers, or one is that of times."""
-    if any(map(is_value, cells)):
-        return False
-    n_indexed = sum(bool(re.search(r"\d", cell)) for cell in cells)
-    return 2 * n_indexed > len(cells) or any(map(is_time_name, cells))
-
-
-def _is_header(cells: Sequence[str], later: Sequence[Line]) -> bool:
-    """True if a line has texts in columns that hold numbers later."""
-    for k, cell in enumerate(cells):
-        if is_value(cell):
-            continue
-        below = [line.cells[k] for line in later if k < len(line.cells)]
-        n_values = sum(map(is_value, below))
-
-        # A single text above numbers is enough: a name.
-        if cell and 2 * n_values > len(below):
-            return True
-    return False
-
-
-def _rate(head: TableHead, raw: list[tuple[int, str]], first_number: int) -> None:
-    """Learn the rate that a line before the table states."""
-    rates: dict[float, str] = {}
-    for number, text in raw:
-        if number >= first_number:
-            break
-        match = RATE_LINE.fullmatch(text)
-        rate_hz = 0.0
-        if match is not None:
-            rate_hz = rate_of(match[1], float(match[2]), match[3].lower())
-        if rate_hz:
-            rates[rate_hz] = text.strip()
-    if len(rates) == 1:
-        ((head.rate_hz, text),) = rates.items()
-        head.notes += (f"the rate is that of the line {shown(text)}",)
-
-
-def _ask_for_titles(
-    head: TableHead,
-    layout: Layout,
-    raw: list[tuple[int, str]],
-    name: str,
-    first_number: int,
-) -> None:
-    """Raise SourceError if lines between the frames of a grid state times, which are not read."""
-    if layout.rate_hz is not None or layout.time or head.rate_hz is not None:
-        return
-    titles = []
-    counts: list[float] = []
-    counted_lines = []
-    for number, text in raw:
-        cells = head.dialect.cells(text)
-        is_row = len(cells) in _widths(head) and any(map(is_number, cells))
-        is_counted = NUMBER_LINE.fullmatch(text)
-        if TITLE_TIME.search(text) and not is_row:
-            titles.append((number, text.strip()))
-        elif is_counted and not is_row:
-            counts.append(float(is_counted[1]))
-            counted_lines.append((number, text.strip()))
-    # Numbers of the frames rise by 1, times do not.
-    if len(counts) > 2 and are_likely(np.array(counts)):
-        titles += counted_lines
-    # One such line is about the whole recording.
-    later = [number for number, _ in titles if number > first_number]
-    if later and len(titles) > 1:
-        number, text = titles[0]
-        fault = f"line {number}, {shown(text)}, states a time, which is not read"
-        raise SourceError(f"{name}: {fault}; state rate_hz, or time=none")
-
-
-def _are_labels(cells: Sequence[str], later: Sequence[Line]) -> bool:
-    """True if a line of numbers has the numbers or the places of the columns, as no line below."""
-    # An index of the lines has no label.
-    begin = int(cells[0] == "")
-    labels = cells[begin:]
-    if not labels or not all(map(is_number, labels)) or not _rises(labels):
-        return False
-    rows = [line.cells[begin : len(cells)] for line in later]
-    are_whole_below = not any(map(_decimals, rows))
-    if are_whole_below and all("." in label for label in labels):
-        return True
-    if len(rows) >= FORMED <= len(labels):
-        # A time at an end of the lines has a form of its own.
-        parts_of_line = (slice(None), slice(1, None), slice(None, -1))
-        if not any(
-            _decimals(row[part]) == _decimals(labels[part])
-            for row in rows
-            for part in parts_of_line
-        ):
-            return True
-
-    # Frames of a test pattern go on so, perhaps beside their time.
-    if not _is_even(labels) or not (len(labels) >= EVEN or begin):
-        return False
-    return not any(_is_even(part) for row in rows for part in (row, row[1:], row[:-1]))
-
-
-def _alone_rises(cells: Sequence[str], later: Sequence[Line]) -> bool:
-    """True if a long line of numbers rises, and no line below does, perhaps beside its time."""
-    if len(cells) < RISING or not _rises(cells):
-        return False
-    rows = [line.cells[: len(cells)] for line in later]
-    return not any(_rises(part) for row in rows for part in (row, row[1:], row[:-1]))
-
-
-def _numbers(cells: Sequence[str]) -> npt.NDArray[np.float64]:
-    """Numbers of cells, NaN for other texts."""
-    return np.array([float(cell) if is_number(cell) else np.nan for cell in cells])
-
-
-def _rises(cells: Sequence[str]) -> bool:
-    return bool((np.diff(_numbers(cells)) > 0).all())
-
-
-def _is_even(cells: Sequence[str]) -> bool:
-    """True if numbers rise in steps of one size."""
-    steps = np.diff(_numbers(cells))
-    return bool((steps > 0).all() and np.allclose(steps, steps[:1], rtol=1e-3))
-
-
-def _decimals(cells: Sequence[str]) -> int:
-    """Most decimals of a cell."""
-    return max(len(cell.partition(".")[2]) for cell in cells)
-
-
-def _counts_columns(cells: Sequence[str]) -> bool:
-    """True for 0, 1, 2, ... or 1, 2, 3, ..., perhaps behind an empty cell."""
-    counted = [cell for cell in cells if cell]
-    n = len(counted)
-    return counted in ([*map(str, range(n))], [*map(str, range(1, n + 1))])
-
-
-def _named_by_comment(
-    head: TableHead, raw: list[tuple[int, str]], first_number: int
-) -> None:
-    """Names of columns in the comment before the data, as np.savetxt writes them."""
-    texts_before = [
-        text.strip() for number, text in raw if number < first_number and text.strip()
-    ]
-    if not texts_before or not texts_before[-1].startswith(COMMENTS):
-        return
-    text = texts_before[-1].lstrip("#%/ ")
-
-    names = tuple(cell.strip() for cell in head.dialect.cells(text))
-    has_names = any(map(is_time_name, names)) or any(
-        re.search(r"\d", name) for name in names
-    )
-    if len(names) == head.width and has_names and not any(map(is_number, names)):
-        head.names = names
-
-
-def _is_numeric(data: Sequence[Line], k: int, layout: Layout) -> bool:
-    """True if most cells of a column that are not missing are numbers, and some is."""
-    markers = layout.missing_texts
-    cells = [line.cells[k] for line in data]
-    texts = [c for c in cells if not (is_missing(c) or c.lower() in markers)]
-    n_numbers = sum(map(is_number, texts))
-    return n_numbers > 0 and 2 * n_numbers >= len(texts)
-
-
-def _without_readings(
-    head: TableHead, data: Sequence[Line], numeric: set[int]
-) -> set[int]:
-    """Columns of missing numbers alone whose names are like those of columns of numbers: taxels
-    that are dead.
-    """
-    patterns = {
-        re.sub(r"\d+", "#", head.names[k]) for k in numeric if is_indexed(head, k)
-    }
-    dead = set()
-    for k in range(head.width):
-        is_like_others = re.sub(r"\d+", "#", head.names[k]) in patterns
-        if (
-            is_like_others
-            and k not in numeric
-            and all(is_missing(row.cells[k]) for row in data)
-        ):
-            dead.add(k)
-    return dead
-
-
-def _find_kind(
-    head: TableHead, file: File, raw: list[tuple[int, str]], data: Sequence[Line]
-) -> None:
-    """Find whether a frame is a line, a block of lines, or a line for each taxel."""
-    layout = file.layout
-    head.long = _long_columns(head, layout, data)
-    if head.long is not None:
-        head.kind = LONG
-        sides = " x ".join(str(place.size) for place in head.long.places)
-        head.notes += (f"a line for each taxel: {sides}",)
-        return
-    is_named = head.header or head.dialect.names
-    if is_named or layout.columns or layout.time not in ("", "none"):
-        return
-    n_rows = layout.n_rows
-    n_cols = layout.n_cols
-    n_stated = layout.n_stated or 0
-    fits = n_stated > head.width == n_cols and n_rows is not None
-
-    heights = _block_heights(head, raw, data[0].number)
-    if fits and n_rows is not None:
-        head.height = n_rows
-    elif (
-        not n_stated
-        and len(heights) > 1
-        and len({*heights[:-1]}) == 1
-        and heights[0] > 1
-    ):
-        head.height = heights[0]
-    elif file.parts and not n_stated:
-        head.height = sum(heights)
-    else:
-        return
-    head.kind = GRID
-    head.notes += (
-        f"a frame is a block of {head.height} lines of {head.width} readings",
-    )
-
-
-def _block_heights(
-    head: TableHead, raw: list[tuple[int, str]], first_number: int
-) -> list[int]:
-    """Lines of numbers in each block between blank lines or lines of text."""
-    heights: list[int] = []
-    is_within = False
-    for number, text in raw:
-        if number < first_number:
-            continue
-        cells = head.dialect.cells(text)
-        if not text.strip():
-            cells = []
-        is_row = any(map(is_number, cells)) and len(cells) in _widths(head)
-        if is_row and is_within:
-            heights[-1] += 1
-        elif is_row:
-            heights.append(1)
-        is_within = is_row
-    return heights
-
-
-def _long_columns(
-    head: TableHead, layout: Layout, data: Sequence[Line]
-) -> LongColumns | None:
-    """Columns of frame, row, column and value, or of frame, taxel and value, where the names state
-    them.
-    """
-    names = [name.lower() for name in head.names]
-
-    def only(words: Sequence[str]) -> int | None:
-        columns = [k for k in head.numeric if names[k] in words]
-        if len(columns) != 1:
-            return None
-        return columns[0]
-
-    row = only((*ROW_WORDS, "i"))
-    col = only((*COL_WORDS, "j"))
-    if row is None and col is None:
-        col = only(TAXEL_WORDS)
-    elif row is None or col is None:
-        return None
-    value = only(VALUE_WORDS)
-    frames = [k for k in head.numeric if names[k] in FRAME_WORDS]
-    frames += [k for k in range(head.width) if is_time_name(names[k])]
-    if col is None or value is None or not frames:
-        return None
-
-    # The first frame shows the sides.
-    frame = frames[0]
-    key = data[0].cells[frame]
-    in_frame = [line.cells for line in data if line.cells[frame] == key]
-    columns = [col] if row is None else [row, col]
-    stated = [None] if row is None else [layout.n_rows, layout.n_cols]
-    places = []
-    for column, size in zip(columns, stated, strict=True):
-        cells = [of_line[column] for of_line in in_frame]
-        if not all(map(str.isdecimal, cells)):
-            return None
-        numbers = list(map(int, cells))
-        begin = min(numbers)
-        places.append(Place(column, begin, size or max(numbers) - begin + 1))
-    return LongColumns(frame, tuple(places), value)

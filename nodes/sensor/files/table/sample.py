@@ -3,17 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import numpy as np
+import numpy.typing as npt
 
 from sparseskin.nodes.sensor.layout.arrangement import Axis
 from sparseskin.nodes.sensor.layout.checks import is_missing, shown
-from sparseskin.nodes.sensor.layout.times import (
-    clock_ns,
-    iso_ns,
-)
+from sparseskin.nodes.sensor.layout.layout import Layout
+from sparseskin.nodes.sensor.layout.times import clock_ns, iso_ns
 
 from .text import Dialect
 
@@ -34,19 +33,54 @@ LONG = "long"
 """Kinds of tables: a frame a line; a frame a block of lines, one a row; a line for each taxel."""
 
 
+class Line(NamedTuple):
+    """A line of the sample: its number from 1, its text, and its cells."""
+
+    number: int
+    text: str
+    cells: Sequence[str]
+
+
+class Place(NamedTuple):
+    """A column of rows, columns or taxels, its least number, and how many there are."""
+
+    column: int
+    begin: int
+    size: int
+
+
+class LongColumns(NamedTuple):
+    """Columns of a table with a line for each taxel: of row and column, or of the taxel alone."""
+
+    frame: int  # a number, or the time
+    places: tuple[Place, ...]
+    value: int
+
+    @property
+    def axes(self) -> tuple[Axis, ...]:
+        """Axes of a frame."""
+        labels = ("taxels",) if len(self.places) == 1 else ("rows", "cols")
+        sizes = [place.size for place in self.places]
+        return tuple(map(Axis, sizes, labels))
+
+
 @dataclass
 class TableHead:
-    """What the begin of a table shows."""
+    """What is stated of a table, the lines of its begin, and what these show."""
 
+    layout: Layout
+    name: str  # of the file, for errors
     dialect: Dialect
     width: int  # cells of a line
-    has_trailing: bool = False  # a separator ends each line
+    raw: list[Line] = field(default_factory=list)  # all lines of the begin
+    data: list[Line] = field(default_factory=list)  # those of them that hold readings
     n_before: int = 0  # lines before the first one of data
+    has_trailing: bool = False  # a separator ends each line
     header: str = ""  # the line of the names
     units: str = ""  # the line of units
-    names: tuple[str, ...] = ()
+    names: Sequence[str] = ()
     usable: tuple[int, ...] = ()  # columns of numbers that are no times
-    numeric: tuple[int, ...] = ()  # columns of numbers
+    numeric: Sequence[int] = ()  # columns of numbers
     time: int | None = None
     nanoseconds: int | None = None  # column with those of a time in seconds
     time_unit: str = ""
@@ -62,39 +96,26 @@ class TableHead:
         name = self.names[column]
         return shown(name) if name else str(column + 1)
 
+    def is_indexed(self, column: int) -> bool:
+        """True if the name of a column holds a number, as those of taxels do."""
+        return any(map(str.isdigit, self.names[column]))
 
-class Place(NamedTuple):
-    """A column of rows, columns or taxels, its least number, and how many there are."""
+    def cells(self, column: int) -> list[str]:
+        """The cells of a column in the sample."""
+        return [line.cells[column] for line in self.data]
 
-    column: int
-    begin: int
-    size: int
+    def numbers(self, column: int) -> npt.NDArray[np.float64]:
+        """Numbers of a column in the sample; NaN where there is none."""
+        return numbers_of(self.cells(column))
 
-
-@dataclass(frozen=True)
-class LongColumns:
-    """Columns of a table with a line for each taxel: of row and column, or of the taxel alone."""
-
-    frame: int  # a number, or the time
-    places: tuple[Place, ...]
-    value: int
-
-    @property
-    def axes(self) -> tuple[Axis, ...]:
-        """Axes of a frame."""
-        sizes = [place.size for place in self.places]
-        if len(sizes) == 1:
-            return (Axis(sizes[0], "taxels"),)
-        return (Axis(sizes[0], "rows"), Axis(sizes[1], "cols"))
+    def has_width(self, cells: Sequence[str]) -> bool:
+        """True if a line has as many cells as those of data."""
+        return len(cells) in (self.width, self.width + self.has_trailing)
 
 
-@dataclass(frozen=True)
-class Line:
-    """A line of the sample: its number from 1, its text, and its cells."""
-
-    number: int
-    text: str
-    cells: tuple[str, ...]
+def numbers_of(cells: Sequence[str]) -> npt.NDArray[np.float64]:
+    """Numbers of cells, NaN for other texts."""
+    return np.array([float(cell) if is_number(cell) else np.nan for cell in cells])
 
 
 def is_number(cell: str) -> bool:
@@ -108,28 +129,5 @@ def is_number(cell: str) -> bool:
 
 def is_value(cell: str) -> bool:
     """True if a cell is a number, a time, or states that there is none."""
-    return (
-        is_number(cell)
-        or is_missing(cell)
-        or bool(iso_ns(cell) or clock_ns(cell) is not None)
-    )
-
-
-def holds_values(data: Sequence[Line], k: int) -> bool:
-    """True if most cells of a column are values; one that is none is refused where it stands."""
-    return 2 * sum(is_value(line.cells[k]) for line in data) > len(data)
-
-
-def column_of(
-    data: Sequence[Line], k: int
-) -> np.ndarray[tuple[int], np.dtype[np.float64]]:
-    """Numbers of a column of the sample; NaN where there is none."""
-    numbers = np.full(len(data), np.nan)
-    for row, line in enumerate(data):
-        if is_number(line.cells[k]):
-            numbers[row] = float(line.cells[k])
-    return numbers
-
-
-def is_indexed(head: TableHead, k: int) -> bool:
-    return any(character.isdigit() for character in head.names[k])
+    is_time = iso_ns(cell) is not None or clock_ns(cell) is not None
+    return is_number(cell) or is_missing(cell) or is_time

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator, Sequence
-from typing import IO
+from typing import IO, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -42,6 +42,24 @@ EXACT = float(1 << 53)
 """Largest whole number up to which float64 has all."""
 
 
+class DataLine(NamedTuple):
+    """A line of data: its text, its number in the file, and whether something else stands between
+    it and the one before.
+    """
+
+    text: str
+    number: int
+    begins: bool
+
+
+class Parsed(NamedTuple):
+    """Lines of data, their numbers (k, width), NaN where there is none, and their times."""
+
+    lines: Sequence[DataLine]
+    numbers: Doubles
+    times: list[int | float] | None
+
+
 class TableRecording(Recording):
     """Numbers separated by commas, semicolons, tabs, bars or white space.
 
@@ -55,7 +73,6 @@ class TableRecording(Recording):
     def __init__(self, file: File) -> None:
         self._file = file
         self._layout = file.layout
-        self._accepts_missing = file.layout.accepts_missing
         self._head = read_head(file)
         self.tally = Tally("lines")
 
@@ -64,10 +81,18 @@ class TableRecording(Recording):
         time_name = ""
         if head.time is not None:
             time_name = f"column {head.label(head.time)}"
-        is_of_lines = head.kind != GRID and head.long is None
+        # Axes of a line, of a block of lines, or of the lines of a frame.
+        axes: tuple[Axis, ...] = (Axis(head.width, "columns", tuple(head.names)),)
+        usable: tuple[int, ...] | None = head.usable
+        if head.kind == GRID:
+            axes = (Axis(head.height, "rows"), Axis(head.width, "cols"))
+            usable = None
+        elif head.long is not None:
+            axes = head.long.axes
+            usable = None
         return Head(
-            self._axes(),
-            usable=head.usable if is_of_lines else None,
+            axes,
+            usable=usable,
             is_timed=head.time is not None,
             time_unit=head.time_unit,
             time_name=time_name,
@@ -76,17 +101,8 @@ class TableRecording(Recording):
             notes=head.notes,
         )
 
-    def _axes(self) -> tuple[Axis, ...]:
-        """Axes of a block, of the lines of a frame, or of a line."""
-        head = self._head
-        if head.kind == GRID:
-            return (Axis(head.height, "rows"), Axis(head.width, "cols"))
-        if head.long is None:
-            return (Axis(head.width, "columns", head.names),)
-        return head.long.axes
-
     @property
-    def numeric(self) -> tuple[int, ...]:
+    def numeric(self) -> Sequence[int]:
         """The columns of numbers."""
         return self._head.numeric
 
@@ -95,7 +111,7 @@ class TableRecording(Recording):
         if 0 in self._head.numeric:
             return ()
         cells = self._head.dialect.cells
-        names = tuple(cells(text)[0] for texts, _, _ in self._lines() for text in texts)
+        names = tuple(cells(line.text)[0] for lines in self._lines() for line in lines)
         self.tally.begin()
         return names
 
@@ -106,120 +122,114 @@ class TableRecording(Recording):
         elif self._head.kind == LONG:
             yield from self._long()
         else:
-            for numbers, times in self._rows():
+            for _, numbers, times in self._rows():
                 self.tally.take(len(numbers), len(numbers))
                 yield Block(numbers, times)
 
-    def _rows(self) -> Iterator[tuple[Doubles, list[int | float] | None]]:
-        """Numbers of lines (k, width), and their times."""
+    def _rows(self) -> Iterator[Parsed]:
+        """The lines of data, some at a time."""
         size = frames_per_block(self._head.width)
-        for texts, numbers, _ in self._lines():
-            for start in range(0, len(texts), size):
-                part = slice(start, start + size)
-                yield self._parsed(texts[part], numbers[part])
+        for lines in self._lines():
+            for start in range(0, len(lines), size):
+                yield self._parsed(lines[start : start + size])
 
-    def _lines(self) -> Iterator[tuple[list[str], list[int], list[bool]]]:
-        """The lines of data by pieces: texts, numbers in the file, and whether each begins a block
-        (something stands between it and the line before).
-        """
-        head = self._head
-        names = (self._file.name, *self._file.parts)
-        for k, name in enumerate(names):
-            if k == 0:
-                yield from self._lines_of(self._file.file, name, head.n_before)
-                continue
+    def _lines(self) -> Iterator[list[DataLine]]:
+        """The lines of data by pieces."""
+        yield from self._lines_of(self._file.file, self._file.name, self._head.n_before)
+        for name in self._file.parts:
             with reading(name) as file:
                 yield from self._lines_of(file, name, 0)
 
     def _lines_of(
         self, file: IO[bytes], name: str, n_before: int
-    ) -> Iterator[tuple[list[str], list[int], list[bool]]]:
-        head = self._head
+    ) -> Iterator[list[DataLine]]:
         begins = True
         for piece in pieces(file, name):
-            texts: list[str] = []
-            numbers: list[int] = []
-            begun: list[bool] = []
+            lines: list[DataLine] = []
             last_number = piece.number + len(piece.lines) - 1
             for number, text in enumerate(piece.lines, start=piece.number):
-                # The first reason counts.
                 if number <= n_before:
                     label = self._before_as(text, number)
                 else:
-                    label = self._dropped_as(text)
-                if not label and piece.is_cut and number == last_number:
-                    label = self._cut_as(text)
-                if not label and head.source is not None:
-                    label = self._of_other_skin(text)
+                    label = self._dropped_as(
+                        text, piece.is_cut and number == last_number
+                    )
                 if label:
                     self.tally.drop(label)
-                    begins = True
-                    continue
-                texts.append(text)
-                numbers.append(number)
-                begun.append(begins)
-                begins = False
-            yield texts, numbers, begun
+                else:
+                    lines.append(DataLine(text, number, begins))
+                begins = bool(label)
+            yield lines
 
     def _before_as(self, text: str, number: int) -> str:
         """The name by which a line before the first one of data is dropped."""
-        labels = {self._head.header: "header", self._head.units: "line of units"}
         if number == 1 and EXCEL_LINE.fullmatch(text.strip()):
             return "line of the separator"
         if number <= self._layout.skip:
             return "skipped lines"
-        empty_as = _empty_as(text)
-        if text in labels and empty_as != BLANK:
-            return labels[text]
-        return empty_as or "lines before the table"
+        label = _empty_as(text)
+        if label != BLANK and text == self._head.header:
+            return "header"
+        if label != BLANK and text == self._head.units:
+            return "line of units"
+        return label or "lines before the table"
 
-    def _dropped_as(self, text: str) -> str:
+    def _dropped_as(self, text: str, is_cut: bool) -> str:
         """The name by which a line is dropped; "" of a line of data."""
+        head = self._head
         label = _empty_as(text)
         if label:
             return label
         # A logger that was started again appends to its file.
-        if self._head.header and text == self._head.header:
+        if text == head.header:
             return "repeated headers"
+        if head.kind == GRID and not self._is_grid_row(text):
+            return "lines between frames"
+        if is_cut and len(head.dialect.cells(text)) < head.width:
+            return "cut last line"
+        if head.source is not None:
+            cells = head.dialect.cells(text)
+            source = cells[head.source : head.source + 1]
+            if source not in ([], [self._layout.frame_id]):
+                return "lines of other skins"
+        return ""
+
+    def _is_grid_row(self, text: str) -> bool:
+        """True if a line is one of a grid, perhaps with another number of cells: an error."""
         stripped = text.strip()
         begins_row = stripped[0].isdigit() or stripped[0] in '+-."[('
         # A line may be a time of day.
-        if self._head.kind == GRID and (not begins_row or ":" in stripped):
-            cells = self._head.dialect.cells(text)
-            is_row = len(cells) == self._head.width
-            is_row = is_row and (is_number(cells[0]) or is_missing(cells[0]))
-            if not is_row:
-                return "lines between frames"
-        return ""
-
-    def _of_other_skin(self, text: str) -> str:
+        if begins_row and ":" not in stripped:
+            return True
         cells = self._head.dialect.cells(text)
-        source = self._head.source or 0
-        if len(cells) > source and cells[source] != self._layout.frame_id:
-            return "lines of other skins"
-        return ""
+        is_reading = bool(cells) and (is_number(cells[0]) or is_missing(cells[0]))
+        return is_reading and len(cells) == self._head.width
 
-    def _cut_as(self, text: str) -> str:
-        cells = self._head.dialect.cells(text)
-        return "cut last line" if len(cells) < self._head.width else ""
-
-    def _parsed(
-        self, texts: Sequence[str], numbers: Sequence[int]
-    ) -> tuple[Doubles, list[int | float] | None]:
-        """Numbers (k, width) and times of lines; NaN where there is no number."""
-        parsed = None
+    def _parsed(self, lines: Sequence[DataLine]) -> Parsed:
+        numbers = None
         if self._head.dialect.is_plain:
-            parsed = self._parsed_fast(texts)
-        if parsed is None:
-            return self._parsed_slowly(texts, numbers)
-        if self._head.time is None:
-            return parsed, None
-        return parsed, self._times(texts, numbers, parsed)
+            numbers = self._numbers_of_plain([line.text for line in lines])
+        if numbers is not None and self._has_exact_times(numbers):
+            times = None
+            if self._head.time is not None:
+                times = numbers[:, self._head.time].tolist()
+            return Parsed(lines, numbers, times)
 
-    def _parsed_fast(self, texts: Sequence[str]) -> Doubles | None:
+        rows = [self._cells(line) for line in lines]
+        if numbers is None:
+            columns = self._head.usable or self._head.numeric
+            numbers = np.full((len(rows), self._head.width), np.nan)
+            for k, cells in enumerate(rows):
+                for column in columns:
+                    numbers[k, column] = self._number(cells[column], lines[k], column)
+        times = None
+        if self._head.time is not None:
+            times = list(map(self._instant, rows, lines))
+        return Parsed(lines, numbers, times)
+
+    def _numbers_of_plain(self, texts: Sequence[str]) -> Doubles | None:
         """Numbers of lines that NumPy reads; None if it cannot read one, or may not."""
         head = self._head
-
         # NumPy splits at any white space where no separator is stated.
         separator = None if head.dialect.separator == " " else head.dialect.separator
         columns = None if len(head.numeric) == head.width else head.numeric
@@ -230,107 +240,84 @@ class TableRecording(Recording):
                 texts = [text.rstrip().removesuffix(separator) for text in texts]
             if any(text.count(separator) != head.width - 1 for text in texts):
                 return None
-
         try:
-            values = np.loadtxt(
+            numbers = np.loadtxt(
                 texts, delimiter=separator, comments=None, ndmin=2, usecols=columns
             )
         except ValueError:
             return None
-        if columns is not None:
-            parsed: Doubles = np.full((len(texts), head.width), np.nan)
-            parsed[:, list(columns)] = values
-        else:
-            parsed = values
-        if parsed.shape[1] != head.width:
+        if columns is None and numbers.shape[1] != head.width:
             return None
-
         # A reading that is missing is refused with its place, which is found line by line.
-        has_all = bool(np.isfinite(parsed[:, list(head.numeric)]).all())
-        return parsed if has_all or self._accepts_missing else None
+        if not (self._layout.accepts_missing or np.isfinite(numbers).all()):
+            return None
+        if columns is None:
+            return numbers
+        parsed: Doubles = np.full((len(texts), head.width), np.nan)
+        parsed[:, list(columns)] = numbers
+        return parsed
 
-    def _times(
-        self, texts: Sequence[str], numbers: Sequence[int], parsed: Doubles
-    ) -> list[int | float]:
-        """Times of lines; whole numbers beyond the precision of float64 are read from the text."""
+    def _has_exact_times(self, numbers: Doubles) -> bool:
+        """True if float64 holds the times of lines, or there are none. Those that it does not are
+        read from the text, as times of day are.
+        """
         head = self._head
-        assert head.time is not None
-        is_number_of_unit = head.time in head.numeric and head.time_unit not in (
-            ISO,
-            CLOCK_UNIT,
-        )
-        if is_number_of_unit and head.nanoseconds is None:
-            times = parsed[:, head.time]
-            if np.isfinite(times).all() and np.abs(times).max(initial=0) < EXACT:
-                return list(times.tolist())
-        lines = [head.dialect.cells(text) for text in texts]
-        return [
-            self._instant(cells, n) for cells, n in zip(lines, numbers, strict=True)
-        ]
-
-    def _parsed_slowly(
-        self, texts: Sequence[str], numbers: Sequence[int]
-    ) -> tuple[Doubles, list[int | float] | None]:
-        head = self._head
-        parsed = np.full((len(texts), head.width), np.nan)
-        times: list[int | float] = []
-        for k, (text, number) in enumerate(zip(texts, numbers, strict=True)):
-            cells = head.dialect.cells(text)
-            if head.has_trailing and len(cells) == head.width + 1 and not cells[-1]:
-                cells.pop()
-            if len(cells) != head.width:
-                place = f"{self._file.name}, line {number}"
-                fault = f"holds {len(cells)} cells; {head.width} are expected"
-                if head.dialect.names:
-                    fault = "names other values than most lines"
-                raise SourceError(f"{place}: {fault}")
-            if head.time is not None:
-                times.append(self._instant(cells, number))
-            for column in head.usable or head.numeric:
-                parsed[k, column] = self._number(cells[column], number, column)
         if head.time is None:
-            return parsed, None
-        return parsed, times
+            return True
+        is_text = head.time not in head.numeric or head.time_unit in (ISO, CLOCK_UNIT)
+        if is_text or head.nanoseconds is not None:
+            return False
+        return bool((np.abs(numbers[:, head.time]) < EXACT).all())  # False for a NaN
 
-    def _number(self, cell: str, line: int, column: int) -> float:
+    def _cells(self, line: DataLine) -> list[str]:
+        head = self._head
+        cells = head.dialect.cells(line.text)
+        if head.has_trailing and len(cells) == head.width + 1 and not cells[-1]:
+            cells.pop()
+        if len(cells) == head.width:
+            return cells
+        fault = f"holds {len(cells)} cells; {head.width} are expected"
+        if head.dialect.names:
+            fault = "names other values than most lines"
+        raise SourceError(f"{self._place(line)}: {fault}")
+
+    def _place(self, line: DataLine) -> str:
+        return f"{self._file.name}, line {line.number}"
+
+    def _number(self, cell: str, line: DataLine, column: int) -> float:
         if is_number(cell):
             value = float(cell)
-            if np.isfinite(value) or self._accepts_missing:
+            if np.isfinite(value) or self._layout.accepts_missing:
                 return value
-        place = f"{self._file.name}, line {line}, column {self._head.label(column)}"
         is_marker = cell.lower() in self._layout.missing_texts
-        if is_marker or (is_missing(cell) and self._accepts_missing):
+        if is_marker or (is_missing(cell) and self._layout.accepts_missing):
             return np.nan
+        fault = f"column {self._head.label(column)}: {shown(cell)} is not a number"
+        fault = f"{self._place(line)}, {fault}"
         if is_missing(cell):
-            raise SourceError(f"{place}: {shown(cell)} is not a number; {NAN_HINT}")
-        fault = f"{place}: {shown(cell)} is not a number"
+            raise SourceError(f"{fault}; {NAN_HINT}")
         if HEXADECIMAL.fullmatch(cell):
             # The numbers of other lines would be read as decimal ones.
             ways = f"write decimal numbers, or state missing={cell} if it stands for no reading"
             raise SourceError(f"{fault}, but may be a hexadecimal one; {ways}")
-        raise UnstatedError(fault, {"missing": self._missing_with(cell)})
+        markers = ",".join(filter(None, (self._layout.missing, cell)))
+        raise UnstatedError(fault, {"missing": markers})
 
-    def _missing_with(self, cell: str) -> str:
-        """The setting `missing` with a further text."""
-        return ",".join(filter(None, (self._layout.missing, cell)))
-
-    def _instant(self, cells: Sequence[str], line: int) -> int | float:
+    def _instant(self, cells: Sequence[str], line: DataLine) -> int | float:
         """The time of a line in its unit; of texts, or of two columns, in nanoseconds."""
         head = self._head
         assert head.time is not None
         cell = cells[head.time]
-        where = f"{self._file.name}, line {line}, time"
+        where = f"{self._place(line)}, time"
         if head.nanoseconds is not None:
             seconds = parse_number(cell, where, -1e10, 1e10)
             part_ns = parse_number(cells[head.nanoseconds], where, 0, 1e9)
             return round(seconds) * 10**9 + round(part_ns)
         if head.time_unit in (ISO, CLOCK_UNIT):
-            parse = iso_ns if head.time_unit == ISO else clock_ns
-            instant = parse(cell)
+            instant = iso_ns(cell) if head.time_unit == ISO else clock_ns(cell)
             if instant is None:
-                raise SourceError(
-                    f"{where}: {shown(cell)} is no time as those before it"
-                )
+                fault = f"{shown(cell)} is no time as those before it"
+                raise SourceError(f"{where}: {fault}")
             return instant
         if cell.isascii() and cell.isdecimal() and len(cell) < 20:
             return int(cell)
@@ -339,33 +326,23 @@ class TableRecording(Recording):
     def _grids(self) -> Iterator[Block]:
         """Frames of several lines; a block between other lines is a whole number of frames."""
         height = self._head.height
-        waiting_texts: list[str] = []
-        waiting_numbers: list[int] = []
-        for texts, numbers, begun in self._lines():
-            ends = [k for k, begins in enumerate(begun) if begins] + [len(texts)]
-            for start, stop in zip([0, *ends], ends, strict=False):
-                if start < len(begun) and begun[start]:
-                    self._check_block(len(waiting_texts), numbers[start])
-                waiting_texts += texts[start:stop]
-                waiting_numbers += numbers[start:stop]
+        rows = np.empty((0, self._head.width))
+        for lines, new_rows, _ in self._rows():
+            for k, line in enumerate(lines):
+                n_before = (len(rows) + k) % height
+                if line.begins and n_before:
+                    fault = f"the frame before it has {n_before} lines; {height} are expected"
+                    raise SourceError(f"{self._place(line)}: {fault}")
+            rows = np.concatenate([rows, new_rows])
 
-                # Frames that are complete; the other lines wait for theirs.
-                n_whole = len(waiting_texts) // height * height
-                if n_whole:
-                    parsed, _ = self._parsed(
-                        waiting_texts[:n_whole], waiting_numbers[:n_whole]
-                    )
-                    n_frames = n_whole // height
-                    self.tally.take(n_whole, n_frames)
-                    yield Block(parsed.reshape(n_frames, height, self._head.width))
-                    del waiting_texts[:n_whole], waiting_numbers[:n_whole]
-        self.tally.drop("lines of a cut last frame", len(waiting_texts))
-
-    def _check_block(self, n_waiting: int, number: int) -> None:
-        if n_waiting:
-            place = f"{self._file.name}, line {number}"
-            fault = f"the frame before it has {n_waiting} lines; {self._head.height} are expected"
-            raise SourceError(f"{place}: {fault}")
+            # Frames that are complete; the other lines wait for theirs.
+            n_frames = len(rows) // height
+            n_whole = n_frames * height
+            if n_frames:
+                self.tally.take(n_whole, n_frames)
+                yield Block(rows[:n_whole].reshape(n_frames, height, -1))
+            rows = rows[n_whole:]
+        self.tally.drop("lines of a cut last frame", len(rows))
 
     def _long(self) -> Iterator[Block]:
         """Frames of a table with a line for each taxel: lines in a row with the same frame."""
@@ -373,14 +350,11 @@ class TableRecording(Recording):
         assert long is not None
         rows = np.empty((0, self._head.width))
         times: list[int | float] = []
-        for new_rows, new_times in self._rows():
+        for _, new_rows, new_times in self._rows():
             rows = np.concatenate([rows, new_rows])
             times += new_times or []
-            keys = (
-                np.array(times)
-                if long.frame == self._head.time
-                else rows[:, long.frame]
-            )
+            is_timed = long.frame == self._head.time
+            keys = np.array(times) if is_timed else rows[:, long.frame]
             begins = np.flatnonzero(np.diff(keys, prepend=np.nan) != 0)
             # The last frame may go on in the next lines.
             stop = int(begins[-1])

@@ -111,9 +111,19 @@ def test_labels_of_axes_state_rows_columns_and_channel(n_rows, n_cols, data):
             None,
             "shape is not stated: state n_rows and n_cols, 3 x 2, 2 x 3, 1 x 6",
         ),
-        ({"n_rows": 4}, [Axis(6)], None, "4 x 1 needs 4"),
+        (
+            {"n_rows": 4},
+            [Axis(6)],
+            None,
+            "4 x 1 needs 4",
+        ),
         ({"n_rows": 3}, [Axis(4), Axis(3)], None, "n_rows = 3 is stated, .* have 4"),
-        ({}, [Axis(4), Axis(3), Axis(3)], None, "3 axes, 4 x 3 x 3; state axes"),
+        (
+            {},
+            [Axis(4), Axis(3), Axis(3)],
+            None,
+            "each axis of 4 x 3 x 3 is, is not stated: state axes=rows,cols,channel or",
+        ),
         (
             {"row_order": "0,0"},
             [Axis(2), Axis(2)],

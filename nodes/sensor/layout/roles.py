@@ -1,0 +1,275 @@
+"""What each axis of an array or of a message is: frames, rows, columns, taxels or a channel.
+
+All ways to read the axes that their labels allow are listed. Those that contradict what is stated
+are left out, the others are compared by how unusual they are, and of equal ones none is chosen.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Collection, Iterator, Sequence
+from itertools import permutations
+from typing import TYPE_CHECKING
+
+from sparseskin.nodes.errors import SourceError
+
+from .layout import Layout, UnstatedError
+from .names import COL_WORDS, ROW_WORDS
+
+if TYPE_CHECKING:
+    from .arrangement import Axis
+
+FRAMES = "frames"
+ROWS = "rows"
+COLS = "cols"
+TAXELS = "taxels"
+CHANNEL = "channel"
+NONE = "-"
+"""Roles of an axis; none: it has one entry."""
+Roles = tuple[str, ...]
+XYZ = ("x", "y", "z")
+ROW_LABELS = (*ROW_WORDS, "height", "row_count")
+COL_LABELS = (*COL_WORDS, "width", "col_count")
+LABELS = {
+    FRAMES: "frame frames n_frames time times t timestamp timestamps sample samples step steps",
+    ROWS: " ".join(ROW_LABELS),
+    COLS: " ".join(COL_LABELS),
+    CHANNEL: "channel channels axis axes xyz component components dim",
+    TAXELS: "taxel taxels sensor sensors",
+}
+"""Labels that files and messages give an axis, by its role."""
+ROLES_OF_ITEMS: tuple[tuple[Roles, ...], ...] = (
+    ((),),
+    ((TAXELS,), (CHANNEL,)),
+    ((ROWS, COLS), (COLS, ROWS), (TAXELS, CHANNEL), (CHANNEL, TAXELS)),
+    tuple(permutations((ROWS, COLS, CHANNEL))),
+)
+"""Roles of the axes of a frame, by their number, in order of preference."""
+# How unusual a way is: each of these is worse than all above it together.
+WITH_TIME = 1  # a number more than taxels: the time
+MIDDLE = 1  # the channel stands between rows and columns
+TRANSPOSED = 2  # columns come before rows
+UNSTATED_CHANNEL = 4
+UNUSED_CHANNEL = 8
+ONE_FRAME = 16
+
+
+def roles_of(
+    layout: Layout,
+    axes: Sequence[Axis],
+    where: str,
+    has_frames: bool = False,
+    n_times: Collection[int] = (),
+    first_is_usual: bool | None = True,
+) -> tuple[Roles, bool]:
+    """The role of each axis, and whether it is a guess: that the first axis is that of the frames.
+
+    It is guessed where it is the longest, or the others are one, or a square; or always, if
+    `first_is_usual` is None. With `has_frames` one axis is that of the frames, or the whole array
+    is one frame of the stated shape; of several the one as long as times beside the array,
+    `n_times`. Raises SourceError if nothing agrees with what is stated, UnstatedError if several
+    ways do.
+    """
+    text = " x ".join(str(axis.size) for axis in axes)
+    labelled = _labelled(layout, axes, has_frames)
+    if not labelled:
+        fault = f"axes = {layout.axes or 'unknown'}, but the array is {text}"
+        ways = f"state each of its {len(axes)} axes once, - for one of one entry"
+        raise SourceError(f"{where}: {fault}; {ways}")
+
+    # Times are a label of the file: a shape that contradicts them is refused.
+    timed = [roles for roles in labelled if _n_frames(axes, roles) in n_times]
+    costs = {roles: _cost(layout, axes, roles) for roles in timed or labelled}
+    least_cost = min(costs.values())
+    if least_cost == math.inf:
+        if not has_frames:
+            return labelled[0], False  # the arrangement names what contradicts
+        shape = f"n_rows x n_cols = {layout.n_rows or 'any'} x {layout.n_cols or 'any'}"
+        fault = f"no axis of {text} leaves a frame of {shape}"
+        if timed:
+            axis = f"axis {timed[0].index(FRAMES) + 1} of {text}"
+            fault = f"{axis} is as long as the times, but leaves no frame of {shape}"
+            fault += "; state axes, or time=none"
+        raise SourceError(f"{where}: {fault}")
+    usual = [roles for roles, cost in costs.items() if cost == least_cost]
+
+    # Of several axes that may be that of the frames, the first one.
+    is_guess = len({roles.index(FRAMES) for roles in usual if FRAMES in roles}) > 1
+    if is_guess and (
+        first_is_usual is None or (first_is_usual and _first_is_plausible(axes))
+    ):
+        usual = [roles for roles in usual if roles[0] == FRAMES] or usual
+    if len(usual) > 1:
+        ways_to_state = [",".join(roles) for roles in usual]
+        fault = f"{where}: what each axis of {text} is, is not stated"
+        raise UnstatedError.between(fault, "axes", ways_to_state)
+    return usual[0], is_guess
+
+
+def are_roles_possible(layout: Layout, axes: Sequence[Axis]) -> bool:
+    """True if an array can hold frames of the stated shape."""
+    labelled = _labelled(layout, axes, has_frames=True)
+    return any(_cost(layout, axes, roles) < math.inf for roles in labelled)
+
+
+def _labelled(layout: Layout, axes: Sequence[Axis], has_frames: bool) -> list[Roles]:
+    """Roles of all axes that agree with what is stated of them, or else with their labels, in order
+    of preference.
+    """
+    stated = layout.axis_names
+    if not stated:
+        possible = _assignments(axes, has_frames)
+        return [roles for roles in possible if _allow(axes, roles)]
+    if not has_frames:
+        stated = tuple(role for role in stated if role != FRAMES)
+    if len(stated) == len(axes):
+        return [stated] if _are_sound(axes, stated) else []
+    return [
+        roles
+        for roles in _assignments(axes, has_frames)
+        # Names of the others alone say nothing of the axis of the frames.
+        if stated in (_without(roles, NONE), _without(roles, NONE, FRAMES))
+    ]
+
+
+def _without(roles: Roles, *others: str) -> Roles:
+    return tuple(role for role in roles if role not in others)
+
+
+def _are_sound(axes: Sequence[Axis], roles: Roles) -> bool:
+    """True if no role is stated twice, and axes without one have one entry."""
+    names = _without(roles, NONE)
+    pairs = zip(axes, roles, strict=True)
+    is_one = all(axis.size == 1 for axis, role in pairs if role == NONE)
+    return is_one and len(set(names)) == len(names)
+
+
+def _assignments(axes: Sequence[Axis], has_frames: bool) -> Iterator[Roles]:
+    """Roles of all axes, in order of preference."""
+    frame_axes: list[int | None] = [None]
+    if has_frames:
+        frame_axes = [*range(len(axes)), None]
+    for frame_axis in frame_axes:
+        others = [at for at in range(len(axes)) if at != frame_axis]
+        items = [at for at in others if axes[at].size != 1]
+        # A grid of one row is a grid.
+        if len(others) == 2:
+            items = others
+        if len(items) >= len(ROLES_OF_ITEMS):
+            continue
+        for roles_of_items in ROLES_OF_ITEMS[len(items)]:
+            roles = [NONE] * len(axes)
+            if frame_axis is not None:
+                roles[frame_axis] = FRAMES
+            for at, role in zip(items, roles_of_items, strict=True):
+                roles[at] = role
+            yield tuple(roles)
+
+
+def _allow(axes: Sequence[Axis], roles: Roles) -> bool:
+    """True if the labels of the axes allow their roles."""
+    n_items = len(_without(roles, NONE, FRAMES))
+    for at, (axis, role) in enumerate(zip(axes, roles, strict=True)):
+        label = label_role(axis)
+        if FRAMES in (label, role):
+            # An axis of one entry counts frames if it is the first one, or has such a label.
+            is_allowed = label in (role, "") and (label or at == 0 or axis.size != 1)
+        elif role == TAXELS:
+            # A list of taxels may have the label of a side, and alone any.
+            is_allowed = label != CHANNEL or n_items == 1
+        else:
+            is_allowed = label in ("", TAXELS, role) or role == NONE
+        if not is_allowed:
+            return False
+    return True
+
+
+def label_role(axis: Axis) -> str:
+    """The role that the label of an axis states, or names x, y, z of its entries; "" if none."""
+    if tuple(map(str.lower, axis.names)) == XYZ:
+        return CHANNEL
+    word = axis.label.lower()
+    return next((role for role, labels in LABELS.items() if word in labels.split()), "")
+
+
+def _n_frames(axes: Sequence[Axis], roles: Roles) -> int | None:
+    return axes[roles.index(FRAMES)].size if FRAMES in roles else None
+
+
+def _cost(layout: Layout, axes: Sequence[Axis], roles: Roles) -> float:
+    """How unusual roles are; infinite if they contradict the stated shape or channel."""
+    sizes = {role: axis.size for role, axis in zip(roles, axes, strict=True)}
+    n_stated = layout.n_stated
+    if not _has_shape(layout, sizes):
+        return math.inf
+    cost = 0
+    if ROWS in sizes and roles.index(COLS) < roles.index(ROWS):
+        labels = {label_role(axis) for axis in axes}
+        # Of a single frame, a shape alone is no reason to turn it.
+        if FRAMES not in roles and not (layout.axes or {ROWS, COLS} & labels):
+            return math.inf
+        cost += TRANSPOSED
+    elif ROWS not in sizes and n_stated is not None:
+        cost += WITH_TIME * (sizes.get(TAXELS, 1) == n_stated + 1)
+
+    if CHANNEL not in sizes:
+        cost += UNUSED_CHANNEL * bool(layout.channel)
+    elif not layout.axes and label_role(axes[roles.index(CHANNEL)]) != CHANNEL:
+        items = _without(roles, FRAMES)
+        is_at_end = CHANNEL in (items[0], items[-1])
+        if layout.channel and not _may_hold(layout.channel, sizes[CHANNEL]):
+            return math.inf
+        if n_stated is not None:
+            cost += MIDDLE * (not is_at_end) + UNSTATED_CHANNEL * (not layout.channel)
+        elif ROWS in sizes:
+            cost += UNSTATED_CHANNEL * (not layout.channel)
+        elif not (is_at_end and _may_be_force(axes, roles)):
+            return math.inf
+    if FRAMES not in roles and not layout.axes:
+        # As from a file of each frame; of a message all ways are so.
+        cost += ONE_FRAME
+    return cost
+
+
+def _may_be_force(axes: Sequence[Axis], roles: Roles) -> bool:
+    """True if frames of 1 x 4 x 3 numbers may be three of each of 1 x 4 taxels, as of no label."""
+    has_labels = any(axis.label for axis in axes)
+    is_of_three = axes[roles.index(CHANNEL)].size == len(XYZ)
+    return is_of_three and FRAMES in roles and len(axes) == 4 and not has_labels
+
+
+def _has_shape(layout: Layout, sizes: dict[str, int]) -> bool:
+    """True if sizes of axes, by their roles, are of a frame of the stated shape."""
+    n_stated = layout.n_stated
+    if ROWS in sizes:
+        n_rows = sizes[ROWS]
+        n_cols = sizes[COLS]
+        if n_stated == n_rows * n_cols and 1 in (n_rows, n_cols):
+            return True
+        is_high = n_rows == (layout.n_rows or n_rows)
+        return is_high and n_cols == (layout.n_cols or n_cols)
+    n = sizes.get(TAXELS, 1)
+    if layout.columns or layout.has_time_column:
+        return n >= (n_stated or 1)
+    if n_stated is not None:
+        return n in (n_stated, n_stated + 1)
+    # Rows alone, or columns alone, have to divide the readings.
+    return n % (layout.n_rows or layout.n_cols or 1) == 0
+
+
+def _may_hold(channel: str, size: int) -> bool:
+    """True if an axis with so many entries can be that of the channels."""
+    if channel.isdecimal():
+        return int(channel) < size
+    return channel.lower() not in XYZ or size == len(XYZ)
+
+
+def _first_is_plausible(axes: Sequence[Axis]) -> bool:
+    """True if the first axis is longer than the others, or these are one, or a square, of another
+    side. A single entry may be a frame, or a row.
+    """
+    first, *others = [axis.size for axis in axes]
+    others = [size for size in others if size > 1]
+    is_square = len(others) == 2 and others[0] == others[1]
+    is_of_others = (len(others) == 1 or is_square) and first not in others
+    return first != 1 and (is_of_others or all(size < first for size in others))
