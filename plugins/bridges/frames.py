@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import struct
 from typing import Any, NamedTuple
+
+import numpy as np
 
 from sparseskin.messages.text import printable
 from sparseskin.nodes.errors import SourceError
@@ -10,7 +13,7 @@ from sparseskin.nodes.sensor.layout.layout import Layout, UnstatedError
 from sparseskin.nodes.sensor.layout.times import is_time_name, named_unit
 
 from .cdr import CLOUD
-from .messages.decoding import Decoder, Message
+from .messages.decoding import ENCAPSULATION_BYTES, ORDERS, Decoder, Message
 from .messages.definitions import BASES, HEADER, TIME, Definitions
 from .messages.fields import numbers_at, only_channel, paths_of, value_at
 from .messages.grids import KINDS, EmptyMessageError, Numbers, fields_of
@@ -65,6 +68,60 @@ class Turns:
         return comes_again
 
 
+class Alike:
+    """Messages with all bytes of an example, beside the stamp of the header and the numbers. These
+    stand in the same places, and nothing else is decoded again.
+    """
+
+    def __init__(
+        self,
+        example: bytes,
+        received: Received,
+        is_grid: bool,
+        stamp: str,
+        stamp_at: int,
+    ) -> None:
+        self._received = received
+        self._n_bytes = len(example)
+        self._unpack = struct.Struct(stamp).unpack_from
+        self._stamp_at = stamp_at
+        #: Bytes between begin and stamp, stamp and numbers, numbers and end, which are the same.
+        self._same: list[tuple[slice, bytes]] = []
+        address = np.frombuffer(example, np.uint8).ctypes.data
+        values = received.numbers.values
+        self._values_at = values.ctypes.data - address
+        low, high = np.lib.array_utils.byte_bounds(values)
+        stamp_end = stamp_at + struct.calcsize(stamp)
+        # Numbers that are gathered from several lists stand elsewhere; between those of a list of
+        # records may stand the names of their taxels.
+        is_dense = high - low == values.nbytes
+        is_within = stamp_end <= low - address <= high - address <= len(example)
+        self.is_possible = is_within and (is_dense or is_grid)
+        for begin, end in (
+            (0, stamp_at),
+            (stamp_end, low - address),
+            (high - address, len(example)),
+        ):
+            place = slice(max(begin, 0), max(end, 0))
+            self._same.append((place, example[place]))
+
+    def received(self, data: bytes) -> Received | None:
+        """What a message holds; None if it has to be decoded."""
+        if len(data) != self._n_bytes:
+            return None
+        for place, same in self._same:
+            if data[place] != same:
+                return None
+        (values, axes), time, frame_id, number = self._received
+        stamp = self._unpack(data, self._stamp_at)
+        if stamp:
+            time = stamp[-2] * 1_000_000_000 + stamp[-1] or None
+        view = np.ndarray(
+            values.shape, values.dtype, data, self._values_at, values.strides
+        )
+        return Received(Numbers(view, axes), time, frame_id, number)
+
+
 class MessageReader:
     """Reads messages of one type: the numbers at a field, and their times.
 
@@ -83,6 +140,8 @@ class MessageReader:
             for member in definitions.members(kind)
             if member.n_entries is None
         }
+        self._is_cdr = definitions.ros == 2
+        self._begins_with_header = next(iter(kind_of), "") == "header"
         self._has_header = kind_of.get("header") == HEADER
         stamps = [name for name in kind_of if kind_of[name] == TIME]
         numbers = [
@@ -101,6 +160,7 @@ class MessageReader:
         self._is_header_time = self.time_path == STAMP
         self._stated_unit = layout.time_unit
         self._frame_id = layout.frame_id
+        self._alike: Alike | None = None
 
     def decode(self, data: bytes) -> Message:
         """Read a message. Raises EmptyMessageError if it has no byte, SourceError if it is none."""
@@ -112,10 +172,30 @@ class MessageReader:
         """Read the numbers of a message. Raises EmptyMessageError if it holds none,
         OtherFrameError if its frame is not the stated one, SourceError if it is malformed.
         """
+        received = self._alike.received(data) if self._alike else None
+        if received is not None:
+            return received
         message = self.decode(data)
         self.check_frame(message)
         numbers = numbers_at(message, self.field)
-        return self.received(numbers, message)
+        received = self.received(numbers, message)
+        self._alike = self._alike_of(data, received)
+        return received
+
+    def _alike_of(self, data: bytes, received: Received) -> Alike | None:
+        """Messages like one; None if the place of their times is not known."""
+        stamp = ""
+        stamp_at = 0
+        if self._is_header_time and self._begins_with_header:
+            # ROS 1 counts messages before the stamp, ROS 2 states the order of bytes.
+            stamp = "<III"
+            if self._is_cdr:
+                stamp = f"{ORDERS[data[:2]]}iI"
+                stamp_at = ENCAPSULATION_BYTES
+        elif self.time_path:
+            return None
+        alike = Alike(data, received, self.kind in KINDS, stamp, stamp_at)
+        return alike if alike.is_possible else None
 
     def received(self, numbers: Numbers, message: Message) -> Received:
         """The numbers of a message, and what it states of them."""

@@ -455,8 +455,11 @@ class _Reads:
 
     def _check_names(self, received: Received) -> None:
         """Raise SourceError if a message has its taxels in another order than the first one."""
-        names = [axis.names for axis in received.numbers.axes]
-        if names != [axis.names for axis in self._stream.first.numbers.axes]:
+        axes = received.numbers.axes
+        first_axes = self._stream.first.numbers.axes
+        if axes is first_axes:
+            return
+        if [axis.names for axis in axes] != [axis.names for axis in first_axes]:
             raise SourceError(
                 f"{self._where}: the order of its taxels changes, as named in it"
             )

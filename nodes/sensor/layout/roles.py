@@ -84,8 +84,8 @@ def roles_of(
     if least_cost == math.inf:
         if not has_frames:
             return labelled[0], False  # the arrangement names what contradicts
-        shape = f"n_rows x n_cols = {layout.n_rows or 'any'} x {layout.n_cols or 'any'}"
-        fault = f"no axis of {text} leaves a frame of {shape}"
+        shape = f"{layout.n_rows or 'any'} x {layout.n_cols or 'any'} taxels"
+        fault = f"no axis of {text} leaves a frame of {shape} (n_rows, n_cols)"
         if timed:
             axis = f"axis {timed[0].index(FRAMES) + 1} of {text}"
             fault = f"{axis} is as long as the times, but leaves no frame of {shape}"
@@ -93,6 +93,13 @@ def roles_of(
         raise SourceError(f"{where}: {fault}")
     usual = [roles for roles, cost in costs.items() if cost == least_cost]
 
+    # Turned frames of the first axis are as likely as others of a later one.
+    if all(roles[0] != FRAMES for roles in usual):
+        usual += [
+            roles
+            for roles, cost in costs.items()
+            if roles[0] == FRAMES and cost <= least_cost + TRANSPOSED
+        ]
     # Of several axes that may be that of the frames, the first one.
     is_guess = len({roles.index(FRAMES) for roles in usual if FRAMES in roles}) > 1
     if is_guess and (
@@ -270,6 +277,6 @@ def _first_is_plausible(axes: Sequence[Axis]) -> bool:
     """
     first, *others = [axis.size for axis in axes]
     others = [size for size in others if size > 1]
-    is_square = len(others) == 2 and others[0] == others[1]
+    is_square = len(axes) == 3 and len(others) == 2 and others[0] == others[1]
     is_of_others = (len(others) == 1 or is_square) and first not in others
     return first != 1 and (is_of_others or all(size < first for size in others))

@@ -3,11 +3,22 @@
 import numpy as np
 import pytest
 from damaged import mutated, refusal
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 pytest.importorskip("rosbags", reason="rosbags is not installed")
-from drawn_messages import SEPARATOR, definitions, registered, same, value_of
+from drawn_messages import (
+    SEPARATOR,
+    STREAM_TEXT,
+    definitions,
+    frames_sent,
+    grids,
+    message_of,
+    registered,
+    same,
+    stream_store,
+    value_of,
+)
 from rosbags.interfaces import Nodetype
 from rosbags.typesys import Stores, get_typestore
 
@@ -208,3 +219,54 @@ def test_times_are_those_of_a_field_of_any_unit():
         assert reader.time_unit == ("ms" if time == "time_ms" else "ns")
     with pytest.raises(SourceError, match=r"time: there is no field 'data\.x'"):
         MessageReader(known, KIND, Layout(field="data", time="data.x")).read_frame(raw)
+
+
+@pytest.mark.parametrize("ros", [1, 2])
+@settings(max_examples=30)
+@given(data=st.data(), grid=grids())
+def test_a_message_is_read_as_if_it_were_the_only_one(ros, data, grid):
+    store = stream_store(ros)
+    definitions = Definitions(ros)
+    definitions.add("maker_msgs/msg/Stream", STREAM_TEXT)
+    encode = store.serialize_ros1 if ros == 1 else store.serialize_cdr
+    field = "modules[0].taxels[].z" if grid.kind == "stream" else ""
+    field = "z" if grid.kind == "cloud" else field
+
+    def reader(kind):
+        return MessageReader(definitions, kind, Layout(field=field))
+
+    readers = {}
+    for sent in frames_sent(data.draw, grid):
+        kind, message = message_of(store, ros, grid, sent)
+        raw = bytearray(encode(message, kind))
+        if data.draw(st.booleans()):
+            raw[data.draw(st.integers(0, len(raw) - 1))] ^= data.draw(
+                st.integers(1, 255)
+            )
+        results = []
+        for each in (readers.setdefault(kind, reader(kind)), reader(kind)):
+            text = refusal(
+                lambda: results.append(each.read_frame(bytes(raw))),  # noqa: B023
+                SourceError,
+            )
+            results += [text] if text else []
+        of_stream, alone = results
+        if isinstance(alone, str) or isinstance(of_stream, str):
+            assert of_stream == alone
+            continue
+        np.testing.assert_array_equal(of_stream.numbers.values, alone.numbers.values)
+        assert of_stream.numbers.axes == alone.numbers.axes
+        assert of_stream[1:] == alone[1:]
+
+
+def test_names_within_records_are_read_of_each_message():
+    known = Definitions(1)
+    known.add(
+        KIND, f"Taxel[] taxels\n{SEPARATOR}\nMSG: any_msgs/Taxel\nuint32 id\nint32 z"
+    )
+    reader = MessageReader(known, KIND, Layout(field="taxels[].z"))
+    for ids in ([2, 1, 3], [3, 1, 2]):
+        pairs = np.array([(each, 10 * each) for each in ids], "<u4")
+        numbers = reader.read_frame(b"\3\0\0\0" + pairs.tobytes()).numbers
+        assert numbers.axes[0].names == tuple(f"taxel_{each}" for each in ids)
+        assert numbers.values.tolist() == [10 * each for each in ids]

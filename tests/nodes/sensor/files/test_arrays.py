@@ -386,7 +386,7 @@ class TestNpy:
             ),
             (
                 {"n_rows": 5, "n_cols": 3},
-                "no axis of 4 x 2 x 3 leaves a frame of n_rows x n_cols = 5 x 3",
+                "no axis of 4 x 2 x 3 leaves a frame of 5 x 3 taxels",
             ),
             ({"time": "first"}, "time = first, but a frame is no row of numbers"),
             ({"topic": "left"}, "holds no topic 'left'"),
