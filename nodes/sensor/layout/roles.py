@@ -100,17 +100,16 @@ def roles_of(
             for roles, cost in costs.items()
             if roles[0] == FRAMES and cost <= least_cost + TRANSPOSED
         ]
-    # Of several axes that may be that of the frames, the first one.
-    is_guess = len({roles.index(FRAMES) for roles in usual if FRAMES in roles}) > 1
-    if is_guess and (
-        first_is_usual is None or (first_is_usual and _first_is_plausible(axes))
-    ):
-        usual = [roles for roles in usual if roles[0] == FRAMES] or usual
+    # Of several axes that may be that of the frames, the first one, if that leaves one way.
+    firsts = [roles for roles in usual if roles[0] == FRAMES]
+    is_usual = first_is_usual is None or (first_is_usual and _first_is_plausible(axes))
+    if len(usual) > 1 and len(firsts) == 1 and is_usual:
+        return firsts[0], True
     if len(usual) > 1:
         ways_to_state = [",".join(roles) for roles in usual]
         fault = f"{where}: what each axis of {text} is, is not stated"
         raise UnstatedError.between(fault, "axes", ways_to_state)
-    return usual[0], is_guess
+    return usual[0], False
 
 
 def are_roles_possible(layout: Layout, axes: Sequence[Axis]) -> bool:

@@ -285,7 +285,7 @@ class TestChannels:
             SourceError, match=f"{ways} or axes=frames,channel,rows,cols"
         ):
             open_bytes(tmp_path, "a.npy", npy(self.XYZ))
-        with pytest.raises(SourceError, match=f"{ways}$"):
+        with pytest.raises(SourceError, match=f"{ways} or axes=rows,"):
             open_bytes(tmp_path, "a.npy", npy(self.XYZ), channel="z")
         source = open_bytes(
             tmp_path, "a.npy", npy(self.XYZ), axes="rows,cols,channel", channel="z"
