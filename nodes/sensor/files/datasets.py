@@ -70,6 +70,11 @@ class Dataset:
         return sum(side > 1 for side in self.sides)
 
     @property
+    def is_list(self) -> bool:
+        """True if it holds several numbers along one axis."""
+        return self.n_axes == 1
+
+    @property
     def n_bytes(self) -> int:
         return math.prod(self.sides) * self.dtype.itemsize
 
@@ -110,19 +115,16 @@ class ArrayFile(ABC):
     def last_part(self, key: str) -> str:
         return key.rpartition(self.separator)[2]
 
-    def nearest(self, key: str, names: Sequence[str]) -> str:
-        """The path of the array with one of these names in the group of an array, or else in the
-        nearest group around it; "" if there is none.
+    def nearest(self, key: str, name: str) -> str:
+        """The path of the array with a name in the group of an array, or else in the nearest group
+        around it; "" if there is none.
         """
-
-        # From the group of the array outwards.
         group = key
         while group:
             group = group.rpartition(self.separator)[0]
-            for name in names:
-                path = f"{group}{self.separator}{name}" if group else name
-                if path in self.datasets:
-                    return path
+            path = f"{group}{self.separator}{name}" if group else name
+            if path in self.datasets:
+                return path
         return ""
 
     def axes(self, key: str) -> list[Axis]:
@@ -149,60 +151,40 @@ def frames_key(arrays: ArrayFile, layout: Layout) -> str:
     array of three axes or more, or else of two, that can have the stated shape. Raises SourceError
     if there is none, UnstatedError if there are several.
     """
-
-    candidates = _candidates(arrays, layout)
     topic = layout.topic.strip("/")
-    if topic:
-        return _stated_key(arrays, topic, candidates)
+    if topic in arrays.datasets and topic:
+        return topic
     # What this program writes has its array named so.
-    named_forces = [key for key in arrays.datasets if arrays.last_part(key) == FORCES]
-    if len(named_forces) == 1:
-        return named_forces[0]
+    name = topic or FORCES
+    named = [key for key in arrays.datasets if arrays.last_part(key) == name]
+    if len(named) == 1:
+        return named[0]
+    kind = "arrays of frames (frames, rows, columns)"
+    if topic:
+        kind = f"arrays named {shown(topic)}"
+    candidates = named if topic and named else _candidates(arrays, layout)
     grids = [key for key in candidates if arrays.datasets[key].n_axes > 2]
 
     # One grid among tables is the skin, unless a table is as large.
-    if len(grids) == 1:
-        (grid,) = grids
-        candidates = [grid, *_rivals(arrays, grid, candidates)]
+    if len(grids) == 1 and not topic:
+        candidates = [*grids, *_rivals(arrays, grids[0], candidates)]
     texts = {key: arrays.datasets[key].text for key in candidates}
-    kind = "arrays of frames (frames, rows, columns)"
-    return choose(texts, "", arrays.name, kind)
-
-
-def _stated_key(arrays: ArrayFile, topic: str, candidates: Sequence[str]) -> str:
-    if topic in arrays.datasets:
-        return topic
-    ends = [key for key in arrays.datasets if arrays.last_part(key) == topic]
-    if len(ends) == 1:
-        return ends[0]
-    texts = {key: arrays.datasets[key].text for key in ends or candidates}
-    kind = f"arrays named {shown(topic)}"
-    if ends:
-        return choose(texts, "", arrays.name, kind)
-    return choose(texts, topic, arrays.name, kind)
+    return choose(texts, "" if named else topic, arrays.name, kind)
 
 
 def _candidates(arrays: ArrayFile, layout: Layout) -> list[str]:
     """Arrays that may be frames; those of bool only where there are no others."""
     if len(arrays.datasets) == 1:
         return [*arrays.datasets]
-    readable = {
-        key: dataset.dtype.kind
-        for key, dataset in arrays.datasets.items()
-        if dataset.dtype.kind in "iufb"
-        and dataset.n_axes > 1
-        and arrays.last_part(key) not in PROPERTIES
-        and not times.is_time_name(arrays.last_part(key))
-    }
-    # Where arrays are labelled as tactile data, others are none.
-    tactile = {
-        key: kind for key, kind in readable.items() if TACTILE in arrays.last_part(key)
-    }
-    readable = tactile or readable
-
-    # Masks are of bool.
-    numbers = [key for key, kind in readable.items() if kind != "b"]
-    keys = numbers or [*readable]
+    keys = []
+    for key, dataset in arrays.datasets.items():
+        name = arrays.last_part(key)
+        is_property = name in PROPERTIES or times.is_time_name(name)
+        if dataset.dtype.kind in "iufb" and dataset.n_axes > 1 and not is_property:
+            keys.append(key)
+    # Where arrays are labelled as tactile data, others are none; masks are of bool.
+    keys = [key for key in keys if TACTILE in arrays.last_part(key)] or keys
+    keys = [key for key in keys if arrays.datasets[key].dtype.kind != "b"] or keys
     fitting = [key for key in keys if are_roles_possible(layout, arrays.axes(key))]
     return fitting or keys
 
@@ -233,24 +215,20 @@ def times_keys(arrays: ArrayFile, layout: Layout) -> list[str]:
     lists = [
         key
         for key, dataset in arrays.datasets.items()
-        if dataset.dtype.kind in "iufMmUS"
-        and dataset.n_axes <= 1
-        and math.prod(dataset.sides) > 1
+        if dataset.is_list and dataset.dtype.kind in "iufMmUS"
     ]
-    if time_name:
-        stated_keys = [
-            key for key in lists if time_name in (key, arrays.last_part(key))
-        ]
-        if not stated_keys:
-            allowed = ", ".join(map(printable, lists[:MAX_SHOWN])) or "none"
-            fault = f"time: {shown(time_name)} is no array of one axis; allowed: {allowed}, none"
-            raise SourceError(f"{arrays.name}: {fault}")
-        # A path is meant before the last part of others.
-        if time_name in stated_keys:
-            return [time_name]
-        return stated_keys
-    exact = [key for key in lists if times.is_time_name(arrays.last_part(key))]
-    return exact or [key for key in lists if times.is_time_name(_last_word(key))]
+    if not time_name:
+        exact = [key for key in lists if times.is_time_name(arrays.last_part(key))]
+        return exact or [key for key in lists if times.is_time_name(_words(key)[-1])]
+    # A path is meant before the last part of others.
+    if time_name in lists:
+        return [time_name]
+    keys = [key for key in lists if arrays.last_part(key) == time_name]
+    if not keys:
+        allowed = ", ".join(map(printable, lists[:MAX_SHOWN])) or "none"
+        fault = f"{shown(time_name)} is no array of one axis; allowed: {allowed}, none"
+        raise SourceError(f"{arrays.name}: time: {fault}")
+    return keys
 
 
 def times_key(
@@ -264,17 +242,14 @@ def times_key(
         return "", ()
     if not keys and not layout.time:
         _ask_for_times(arrays, frames, n_frames)
-    if not keys:
-        return "", ()
-
     n_times = {key: math.prod(arrays.datasets[key].sides) for key in keys}
-    as_long = [key for key, n in n_times.items() if n == n_frames]
+    as_long = [key for key in keys if n_times[key] == n_frames]
     if not as_long:
         sizes = ", ".join(f"{printable(key)} ({n})" for key, n in n_times.items())
         note = f"not read as times of {n_frames} frames: {sizes}"
-        if layout.time:
+        if keys and layout.time:
             raise SourceError(f"{arrays.name}: time: {note}")
-        return "", (note,)
+        return "", (note,) if keys else ()
 
     # In the same group, or with the same word at its begin.
     nearness = {key: _common_words(key, frames) for key in as_long}
@@ -282,11 +257,9 @@ def times_key(
     if len(nearest) > 1:
         fault = f"{arrays.name}: {len(nearest)} arrays may be the times of the frames"
         raise UnstatedError.between(fault, "time", nearest, "time=none")
-
     ignored = [printable(key) for key in as_long if key not in nearest]
-    if not ignored:
-        return nearest[0], ()
-    return nearest[0], (f"not read as times: {', '.join(ignored)}",)
+    notes = (f"not read as times: {', '.join(ignored)}",) if ignored else ()
+    return nearest[0], notes
 
 
 def _ask_for_times(arrays: ArrayFile, frames: str, n_frames: int) -> None:
@@ -295,26 +268,19 @@ def _ask_for_times(arrays: ArrayFile, frames: str, n_frames: int) -> None:
     """
     rising = []
     for key, dataset in arrays.datasets.items():
-        is_list = (
-            dataset.n_axes == 1 and math.prod(dataset.sides) == n_frames > MIN_RISING
-        )
-        if key == frames or not is_list or dataset.dtype.kind not in "iuf":
+        is_of_frames = dataset.is_list and math.prod(dataset.sides) == n_frames
+        if not is_of_frames or key == frames or dataset.dtype.kind not in "iuf":
             continue
-        if times.are_likely(arrays.property_array(key).reshape(-1)):
+        numbers = arrays.property_array(key).reshape(-1)
+        if n_frames > MIN_RISING and times.are_likely(numbers):
             rising.append(key)
     if rising:
-        fault = "a number for each frame rises, and is named as no time"
-        raise UnstatedError.between(
-            f"{arrays.name}: {fault}", "time", rising, "time=none"
-        )
+        fault = f"{arrays.name}: a number for each frame rises, and is named as no time"
+        raise UnstatedError.between(fault, "time", rising, "time=none")
 
 
 def _words(key: str) -> list[str]:
     return key.lower().replace("/", "_").replace(".", "_").split("_")
-
-
-def _last_word(key: str) -> str:
-    return _words(key)[-1]
 
 
 def _common_words(path: str, other_path: str) -> int:
