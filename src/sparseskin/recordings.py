@@ -12,9 +12,8 @@ from sparseskin.nodes.arguments import checked
 from sparseskin.nodes.errors import SparseskinError
 from sparseskin.nodes.lookup import nearest_of
 from sparseskin.nodes.recorder.bag.format import FILE_SUFFIX, PART_SUFFIX
-from sparseskin.nodes.sensor.files.bag import is_bag
 from sparseskin.nodes.sensor.files.file_source import open_file
-from sparseskin.nodes.sensor.files.format import HEAD_BYTES
+from sparseskin.nodes.sensor.files.format import HEAD_BYTES, is_bag
 from sparseskin.nodes.sensor.files.survey import Needs
 from sparseskin.nodes.sensor.layout.layout import KEYS, Layout
 

@@ -5,27 +5,21 @@ from __future__ import annotations
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
-from typing import TYPE_CHECKING
 
-import numpy as np
-
+from sparseskin.messages import Calibration, Taxels
+from sparseskin.messages.frames import Floats, known_forces
+from sparseskin.messages.state import described
+from sparseskin.messages.topics import topic_of
 from sparseskin.nodes.errors import SourceError
+from sparseskin.nodes.recorder.bag.format import BagError
+from sparseskin.nodes.recorder.bag.frames import decoded, patch_of, skin_of
+from sparseskin.nodes.recorder.bag.patches import split_bag
+from sparseskin.nodes.recorder.bag.reader import BagReader
 from sparseskin.nodes.sensor.layout.arrangement import Axis
 from sparseskin.nodes.sensor.layout.checks import choose
 from sparseskin.nodes.sensor.layout.tally import Tally
 
 from .recording import Block, File, Head, Recording, gathered
-
-if TYPE_CHECKING:
-    from sparseskin.messages import Taxels
-    from sparseskin.nodes.recorder.bag.reader import BagReader
-
-
-def is_bag(begin: bytes) -> bool:
-    """True if a file begins as a recording of this program does: with its name as the library."""
-    profile = int.from_bytes(begin[17:21], "little")
-    header = begin[21:]
-    return profile == 0 and header[4:].startswith(b"sparseskin ")
 
 
 class BagRecording(Recording):
@@ -39,13 +33,8 @@ class BagRecording(Recording):
         self._file = file
 
     def head(self) -> Head:
-        from sparseskin.messages.state import described
-        from sparseskin.nodes.recorder.bag.frames import patch_of, skin_of
-
-        with self._opened() as bag:
-            topic = self._topic(bag)
-            message = next(self._taxels(bag, topic))
-            n_rows, n_cols = message.forces.shape[1:]
+        with self._opened() as (bag, topic):
+            n_rows, n_cols = next(self._taxels(bag, topic)).forces.shape[1:]
             head = Head(
                 (Axis(n_rows, "rows"), Axis(n_cols, "cols")),
                 is_timed=True,
@@ -60,16 +49,11 @@ class BagRecording(Recording):
 
     def blocks(self) -> Iterator[Block]:
         self.tally.begin()
-        with self._opened() as bag:
-            yield from gathered(self._frames(bag), self.tally)
+        with self._opened() as (bag, topic):
+            yield from gathered(self._frames(bag, topic), self.tally)
 
-    def _frames(
-        self, bag: BagReader
-    ) -> Iterator[tuple[np.ndarray[tuple[int, ...], np.dtype[np.float32]], int]]:
+    def _frames(self, bag: BagReader, topic: str) -> Iterator[tuple[Floats, int]]:
         """Frames and their stamps."""
-        from sparseskin.messages.frames import known_forces
-
-        topic = self._topic(bag)
         shape = None
         for message in self._taxels(bag, topic):
             forces = known_forces(message)
@@ -80,45 +64,27 @@ class BagRecording(Recording):
             yield forces, message.stamp_ns
 
     @contextmanager
-    def _opened(self) -> Iterator[BagReader]:
-        from sparseskin.nodes.recorder.bag.format import BagError
-        from sparseskin.nodes.recorder.bag.patches import split_bag
-        from sparseskin.nodes.recorder.bag.reader import BagReader
-
+    def _opened(self) -> Iterator[tuple[BagReader, str]]:
+        """The recording, and the topic of the taxels."""
+        name = self._file.name
         try:
-            with BagReader(self._file.name) as whole:
-                yield split_bag(whole)
+            with BagReader(name) as whole:
+                bag = split_bag(whole)
+                about = {}
+                for topic, info in bag.topics.items():
+                    if info.schema == Taxels.schema and info.n_messages:
+                        about[topic] = f"{info.n_messages} frames"
+                topic = choose(about, self._file.layout.topic, name, "topics of taxels")
+                calibration = topic_of(patch_of(topic), Calibration.schema)
+                if self._file.raw and calibration in bag.topics:
+                    fault = "its taxels are forces, of a calibrated skin"
+                    raise SourceError(f"{name}: {fault}; expected raw readings")
+                yield bag, topic
         except BagError as error:
             raise SourceError(str(error)) from error
 
-    def _topic(self, bag: BagReader) -> str:
-        """The topic of the taxels."""
-        from sparseskin.messages import Calibration, Taxels
-        from sparseskin.messages.topics import topic_of
-        from sparseskin.nodes.recorder.bag.frames import patch_of
-
-        name = self._file.name
-        counts = {
-            topic: info.n_messages
-            for topic, info in bag.topics.items()
-            if info.schema == Taxels.schema and info.n_messages
-        }
-
-        about = {topic: f"{n} frames" for topic, n in counts.items()}
-        topic = choose(about, self._file.layout.topic, name, "topics of taxels")
-        if (
-            self._file.raw
-            and topic_of(patch_of(topic), Calibration.schema) in bag.topics
-        ):
-            fault = "its taxels are forces, of a calibrated skin; expected raw readings"
-            raise SourceError(f"{name}: {fault}")
-        return topic
-
     def _taxels(self, bag: BagReader, topic: str) -> Iterator[Taxels]:
         """The messages of the topic."""
-        from sparseskin.messages import Taxels
-        from sparseskin.nodes.recorder.bag.frames import decoded
-
         for recorded in bag.messages([topic]):
             message = decoded(bag, recorded)
             if isinstance(message, Taxels):

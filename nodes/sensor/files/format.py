@@ -14,7 +14,6 @@ from sparseskin.nodes.extensions import FILES, failures, loaded
 from sparseskin.nodes.sensor.layout.checks import shown
 
 from .arrays import ArrayRecording
-from .bag import BagRecording, is_bag
 from .recording import File, Recording
 from .table.table import TableRecording
 from .table.transposed import TransposedTable
@@ -63,11 +62,25 @@ def open_table(file: File) -> Recording:
     return TableRecording(file)
 
 
+def open_bag(file: File) -> Recording:
+    """A recording of this program."""
+    # What records is imported where one is read.
+    from .bag import BagRecording
+
+    return BagRecording(file)
+
+
+def is_bag(begin: bytes) -> bool:
+    """True if a file begins as a recording of this program does: with its name as the library."""
+    profile = int.from_bytes(begin[17:21], "little")
+    return profile == 0 and begin[25:].startswith(b"sparseskin ")
+
+
 _NPZ = "array 'forces' with stamp_ns, rate_hz, mask, f_max, unit, pitch_m as wanted"
 OWN = (
     Format(dict.fromkeys(TABLE_SUFFIXES, "table of text"), open_table),
     Format({".npy": "array (frames, rows, columns)", ".npz": _NPZ}, ArrayRecording),
-    Format({".mcap": "recording of sparseskin"}, BagRecording, is_bag),
+    Format({".mcap": "recording of sparseskin"}, open_bag, is_bag),
 )
 """Formats of the core."""
 
@@ -106,18 +119,11 @@ def recording_of(file: File) -> Recording:
 
 def _recognised(file: File, fitting: list[Format]) -> list[Format]:
     """The formats that recognise the begin of a file, or else those that take every file."""
-
     begin = file.file.read(HEAD_BYTES)
     file.file.seek(0)
-    sure = []
-    for format_ in fitting:
-        if format_.recognises is not None and format_.recognises(begin):
-            sure.append(format_)
-    return (
-        sure
-        or [format_ for format_ in fitting if format_.recognises is None]
-        or fitting
-    )
+    for_all = [format_ for format_ in fitting if format_.recognises is None]
+    sure = [form for form in fitting if form.recognises and form.recognises(begin)]
+    return sure or for_all or fitting
 
 
 @contextmanager

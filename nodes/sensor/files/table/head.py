@@ -242,9 +242,11 @@ def _are_names(cells: Sequence[str]) -> bool:
 def _is_header(cells: Sequence[str], rows: Sequence[Sequence[str]]) -> bool:
     """True if a line has texts in columns that hold numbers below."""
     for k, cell in enumerate(cells):
+        if not cell or is_value(cell):
+            continue
         n_values = sum(is_value(row[k]) for row in rows)
         # A single text above numbers is enough: a name.
-        if cell and not is_value(cell) and 2 * n_values > len(rows):
+        if 2 * n_values > len(rows):
             return True
     return False
 
@@ -336,11 +338,12 @@ def _find_numeric(head: TableHead) -> None:
     """
     empty = []
     numeric = []
+    markers = head.layout.missing_texts
     for k in range(head.width):
         cells = [cell for cell in head.cells(k) if not is_missing(cell)]
         if not cells:
             empty.append(k)
-        cells = [c for c in cells if c.lower() not in head.layout.missing_texts]
+        cells = [cell for cell in cells if cell.lower() not in markers]
         n_numbers = sum(map(is_number, cells))
         if n_numbers and 2 * n_numbers >= len(cells):
             numeric.append(k)

@@ -129,5 +129,6 @@ def is_number(cell: str) -> bool:
 
 def is_value(cell: str) -> bool:
     """True if a cell is a number, a time, or states that there is none."""
-    is_time = iso_ns(cell) is not None or clock_ns(cell) is not None
-    return is_number(cell) or is_missing(cell) or is_time
+    if is_number(cell) or is_missing(cell):
+        return True
+    return iso_ns(cell) is not None or clock_ns(cell) is not None

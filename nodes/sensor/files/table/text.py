@@ -15,6 +15,10 @@ from sparseskin.nodes.sensor.files.recording import MAX_LINE_BYTES
 
 PIECE_BYTES = 1 << 21
 """Bytes of a piece; chosen: decoding them takes some ten milliseconds."""
+FIRST_PIECE_BYTES = 1 << 18
+"""Bytes of the first piece, of which the others have twice as many each; chosen: the first frame is
+there sooner.
+"""
 SEPARATORS = (";", "\t", ",", "|")
 PREFIX = re.compile(
     r"\s*((?:\d{4}-\d\d-\d\d[ T])?[\d:.,]+)\s*(?:->|=>|:(?=\s*[\[(]))\s*"
@@ -110,8 +114,10 @@ def pieces(file: IO[bytes], name: str) -> Iterator[Piece]:
         recoded: Any = codecs.EncodedFile(file, "utf-8", "utf-16", errors="replace")
         file = recoded
     number = 1
+    size = FIRST_PIECE_BYTES
     is_first = True
-    while data := file.read(PIECE_BYTES):
+    while data := file.read(size):
+        size = min(2 * size, PIECE_BYTES)
         if not data.endswith(b"\n"):
             # A piece ends with a line.
             line_end = file.readline(MAX_LINE_BYTES)

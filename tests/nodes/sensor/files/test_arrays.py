@@ -412,6 +412,40 @@ class TestNpy:
         with pytest.raises(SourceError, match=f"frame 3, row 1, column 2: {message}"):
             open_bytes(tmp_path, "skin.npy", npy(array))
 
+    @pytest.mark.parametrize("sides", [(1, 3, 3), (1, 4, 3), (2, 1, 3, 3)])
+    def test_a_first_axis_of_few_entries_may_be_the_rows(self, tmp_path, sides):
+        array = 1 + np.arange(np.prod(sides), dtype=float).reshape(sides)
+        text = refusal(lambda: open_bytes(tmp_path, "a.npy", npy(array)), SourceError)
+        ways = re.findall(r"axes=([a-z,-]+)", text)
+        assert len(ways) > 2
+        for way in ways:
+            source = open_bytes(
+                tmp_path,
+                "a.npy",
+                npy(array),
+                axes=way,
+                channel="2" if "channel" in way else "",
+                n_rows=1 if "taxels" in way else None,
+            )
+            at = way.split(",").index("frames")
+            assert len(source.frames) == sides[at]
+
+    @pytest.mark.parametrize(
+        ("sides", "n_rows", "n_cols", "axes"),
+        [
+            ((1, 3, 3), 3, 3, "frames,rows,cols"),
+            ((9, 3, 1), 3, 1, "frames,rows,cols"),
+            ((1, 3, 5), 1, 3, "rows,cols,frames"),
+            ((1, 3, 5), 3, 5, "frames,rows,cols"),
+        ],
+    )
+    def test_a_stated_shape_decides(self, tmp_path, sides, n_rows, n_cols, axes):
+        array = 1 + np.arange(np.prod(sides), dtype=float).reshape(sides)
+        shape = {"n_rows": n_rows, "n_cols": n_cols}
+        frames = open_bytes(tmp_path, "a.npy", npy(array), **shape).frames
+        stated = open_bytes(tmp_path, "a.npy", npy(array), axes=axes).frames
+        np.testing.assert_array_equal(frames, stated)
+
     def test_one_frame_of_the_stated_shape_is_read(self, tmp_path):
         source = open_bytes(tmp_path, "a.npy", npy(FORCES[1]), n_rows=2, n_cols=3)
         np.testing.assert_array_equal(source.frames, FORCES[1:2].astype(np.float32))

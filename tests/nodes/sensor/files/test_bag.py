@@ -6,8 +6,9 @@ from bags import PERIOD_NS, frame, frames, make_bag, skin_state
 
 from sparseskin.messages import Taxels
 from sparseskin.nodes.errors import SourceError
-from sparseskin.nodes.sensor.files.bag import BagRecording, is_bag
+from sparseskin.nodes.sensor.files.bag import BagRecording
 from sparseskin.nodes.sensor.files.file_source import open_file
+from sparseskin.nodes.sensor.files.format import is_bag
 from sparseskin.nodes.sensor.files.recording import File
 from sparseskin.nodes.sensor.layout.layout import EMPTY, Layout, UnstatedError
 

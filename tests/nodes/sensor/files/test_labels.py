@@ -136,6 +136,34 @@ def test_names_that_count_columns_are_no_frame(tmp_path, shape, first):
     np.testing.assert_array_equal(read(tmp_path, text, shape).frames, frames)
 
 
+@FORGIVING
+@given(
+    shape=st.tuples(st.integers(2, 3), st.integers(2, 4)),
+    begin=st.integers(0, 1),
+    is_pattern=st.booleans(),
+    data=st.data(),
+)
+def test_names_that_count_columns_in_any_order_are_no_frame(
+    tmp_path, shape, begin, is_pattern, data
+):
+    n_taxels = shape[0] * shape[1]
+    order = data.draw(st.permutations(range(n_taxels)))
+    frames = readings_of(5, shape, begin)
+    if is_pattern:
+        # Frames that count on are no names.
+        steps = np.arange(begin, 5 * n_taxels + begin)
+        frames = steps.reshape(5, *shape)
+        lines = lines_of(frames.reshape(5, -1)[:, order])
+        found = read(tmp_path, "\n".join(lines) + "\n", shape).frames
+        np.testing.assert_array_equal(
+            found.reshape(5, -1), frames.reshape(5, -1)[:, order]
+        )
+        return
+    names = ",".join(str(k + begin) for k in order)
+    text = "\n".join([names, *lines_of(frames.reshape(5, -1)[:, order])]) + "\n"
+    np.testing.assert_array_equal(read(tmp_path, text, shape).frames, frames)
+
+
 @pytest.mark.parametrize(
     ("name", "value"),
     [
