@@ -156,20 +156,20 @@ def frames_key(arrays: ArrayFile, layout: Layout) -> str:
         return topic
     # What this program writes has its array named so.
     name = topic or FORCES
-    named = [key for key in arrays.datasets if arrays.last_part(key) == name]
-    if len(named) == 1:
-        return named[0]
+    so_named = [key for key in arrays.datasets if arrays.last_part(key) == name]
+    if len(so_named) == 1:
+        return so_named[0]
     kind = "arrays of frames (frames, rows, columns)"
     if topic:
         kind = f"arrays named {shown(topic)}"
-    candidates = named if topic and named else _candidates(arrays, layout)
+    candidates = so_named if topic and so_named else _candidates(arrays, layout)
     grids = [key for key in candidates if arrays.datasets[key].n_axes > 2]
 
     # One grid among tables is the skin, unless a table is as large.
     if len(grids) == 1 and not topic:
         candidates = [*grids, *_rivals(arrays, grids[0], candidates)]
     texts = {key: arrays.datasets[key].text for key in candidates}
-    return choose(texts, "" if named else topic, arrays.name, kind)
+    return choose(texts, "" if so_named else topic, arrays.name, kind)
 
 
 def _candidates(arrays: ArrayFile, layout: Layout) -> list[str]:

@@ -7,7 +7,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from fnmatch import fnmatchcase
 from itertools import chain
-from typing import NamedTuple
 
 from sparseskin.messages.text import printable
 from sparseskin.nodes.errors import SourceError
@@ -23,13 +22,10 @@ COL_WORDS = ("c", "col", "cols", "column", "x")
 MAX_SHOWN = 6
 
 
-class Family(NamedTuple):
-    """Names that differ in their numbers alone: the names with # for each number, and the channel
-    that they state, "" for none.
-    """
-
-    pattern: str
-    channel: str
+Family = tuple[str, str]
+"""Names that differ in their numbers alone: the names with # for each number, and the channel that
+they state, "" for none.
+"""
 
 
 @dataclass(frozen=True)
@@ -54,13 +50,16 @@ def select(
     """
     if layout.columns.strip():
         columns = stated_columns(layout.columns, names, len(names), where)
-        if layout.channel:
-            numeric = set(usable)
+        channel = layout.channel.lower()
+        if channel:
+            numeric = set(usable).intersection(columns)
             columns = [k for k in columns if k in numeric]
-            columns = _of_channel(layout.channel, names, columns, where)
+            columns = [k for k in columns if _channel_of(names[k]) == channel]
+        if not columns:
+            fault = f"channel: no column of {layout.channel!r} among the stated ones"
+            raise SourceError(f"{where}: {fault}")
         return _placed(layout, names, columns, ())
-    families = _families(names, usable)
-    columns, notes = _chosen(layout, names, families, usable, where)
+    columns, notes = _chosen(layout, names, usable, where)
     return _placed(layout, names, columns, notes)
 
 
@@ -102,19 +101,19 @@ def matching(
 
 
 def _families(names: Sequence[str], usable: Sequence[int]) -> dict[Family, list[int]]:
-    """Columns by the family of their names, in order of their first one; names without a number
-    stand alone.
-    """
+    """Columns whose names hold numbers, by the family of these, in order of their first one."""
     families: dict[Family, list[int]] = {}
     for k in usable:
-        families.setdefault(_family(names[k]), []).append(k)
+        pattern = pattern_of(names[k])
+        if "#" in pattern:
+            families.setdefault((pattern, _channel_of(names[k])), []).append(k)
     return families
 
 
-def _family(name: str) -> Family:
+def _channel_of(name: str) -> str:
+    """The channel that a name states, "" for none."""
     axis = AXIS.search(name.lower())
-    channel = axis[1] if axis else ""
-    return Family(pattern_of(name), channel)
+    return axis[1] if axis else ""
 
 
 def pattern_of(name: str) -> str:
@@ -123,110 +122,76 @@ def pattern_of(name: str) -> str:
 
 
 def _chosen(
-    layout: Layout,
-    names: Sequence[str],
-    families: dict[Family, list[int]],
-    usable: Sequence[int],
-    where: str,
+    layout: Layout, names: Sequence[str], usable: Sequence[int], where: str
 ) -> tuple[list[int], tuple[str, ...]]:
-    """The taxels, and what is to be said."""
-    indexed = {
-        family: columns for family, columns in families.items() if "#" in family.pattern
-    }
-    channels = _channels(indexed)
-    if layout.channel or len(channels) > 1:
-        channel_name = layout.channel or NORMAL
-        if channel_name not in channels:
-            kinds = ", ".join(channels) or "none"
-            raise SourceError(
-                f"{where}: channel: no columns of {channel_name!r}; it has {kinds}"
-            )
-        columns = channels[channel_name]
-        if layout.n_stated is None or len(columns) == layout.n_stated:
-            return columns, (f"channel {channel_name} of {', '.join(channels)}",)
+    """The taxels, and what is to be said. Raises UnstatedError if more than one choice of columns
+    is possible, SourceError if none is.
+    """
+    families = _families(names, usable)
+    n_stated = layout.n_stated
+    channels = _channels(families)
+    if layout.channel or channels:
+        channel = layout.channel or NORMAL
+        kinds = ", ".join(channels) or "none"
+        if channel not in channels:
+            fault = f"channel: no columns of {channel!r}; it has {kinds}"
+            raise SourceError(f"{where}: {fault}")
+        columns = channels[channel]
+        if n_stated in (None, len(columns)):
+            return columns, (f"channel {channel} of {kinds}",)
 
     # One family of names: its columns are the taxels.
-    if layout.n_stated is None and len(indexed) == 1 and any(map(bool, names)):
-        (columns,) = indexed.values()
-        return columns, ()
-    ways = _ways(indexed, usable)
-    if layout.n_stated is not None:
-        ways = [columns for columns in ways if len(columns) == layout.n_stated]
+    ways = list(families.values())
+    if n_stated is not None or len(ways) != 1:
+        ways = _ways(families, usable)
+        ways = [columns for columns in ways if n_stated in (None, len(columns))]
     if len(ways) == 1:
         return ways[0], ()
-    return _undecided(layout, names, indexed, usable, ways, where)
+    if not usable:
+        raise SourceError(f"{where}: no column holds numbers; state columns")
+
+    about = f"{len(usable)} columns hold numbers"
+    kinds_of_names = [
+        f"{len(columns)} named {printable(pattern)}"
+        for (pattern, _), columns in families.items()
+    ]
+    if kinds_of_names:
+        about += f" ({'; '.join(kinds_of_names)})"
+    if n_stated is not None and not ways:
+        needed = f"n_rows x n_cols = {layout.n_rows} x {layout.n_cols} needs {n_stated}"
+        hint = "state columns, or another shape"
+        raise SourceError(f"{where}: {about}, but {needed}; {hint}")
+    texts = [_as_text(names, columns) for columns in ways]
+    hint = "columns, or n_rows and n_cols"
+    if n_stated is not None:
+        hint = " or ".join(f"columns={text}" for text in texts[:MAX_SHOWN])
+    fault = f"{where}: {about}: which are taxels is not stated: state {hint}"
+    raise UnstatedError(fault, *({"columns": text} for text in texts))
 
 
-def _ways(indexed: dict[Family, list[int]], usable: Sequence[int]) -> list[list[int]]:
+def _ways(families: dict[Family, list[int]], usable: Sequence[int]) -> list[list[int]]:
     """The sets of columns that may be the taxels: each family of several names, all of these, all
     names with numbers, and all columns.
     """
-    families = [columns for columns in indexed.values() if len(columns) > 1]
-    several = sorted(chain.from_iterable(families))
-    with_numbers = sorted(chain.from_iterable(indexed.values()))
+    large = [columns for columns in families.values() if len(columns) > 1]
+    of_large = sorted(chain.from_iterable(large))
+    with_numbers = sorted(chain.from_iterable(families.values()))
     distinct: dict[tuple[int, ...], list[int]] = {}
-    for columns in (*families, several, with_numbers, list(usable)):
+    for columns in (*large, of_large, with_numbers, list(usable)):
         if columns:
             distinct[tuple(sorted(columns))] = columns
     return list(distinct.values())
 
 
-def _undecided(
-    layout: Layout,
-    names: Sequence[str],
-    indexed: dict[Family, list[int]],
-    usable: Sequence[int],
-    ways: list[list[int]],
-    where: str,
-) -> tuple[list[int], tuple[str, ...]]:
-    """Raise what is to be stated, where more than one choice of columns is possible, or none."""
-    if not usable:
-        raise SourceError(f"{where}: no column holds numbers; state columns")
-    about = f"{len(usable)} columns hold numbers"
-    if indexed:
-        kinds = [
-            f"{len(columns)} named {printable(family.pattern)}"
-            for family, columns in indexed.items()
-        ]
-        about += f" ({'; '.join(kinds)})"
-    if layout.n_stated is not None and not ways:
-        needed = f"n_rows x n_cols = {layout.n_rows} x {layout.n_cols} needs {layout.n_stated}"
-        raise SourceError(
-            f"{where}: {about}, but {needed}; state columns, or another shape"
-        )
-
-    options = [{"columns": _as_text(names, columns)} for columns in ways]
-    hint = "columns, or n_rows and n_cols"
-    if layout.n_stated is not None:
-        hint = " or ".join(
-            f"columns={option['columns']}" for option in options[:MAX_SHOWN]
-        )
-    fault = f"{where}: {about}: which are taxels is not stated"
-    raise UnstatedError(f"{fault}: state {hint}", *options)
-
-
-def _channels(indexed: dict[Family, list[int]]) -> dict[str, list[int]]:
-    """Columns of each of x, y and z, if their families are as large as each other."""
+def _channels(families: dict[Family, list[int]]) -> dict[str, list[int]]:
+    """Columns of each of x, y and z, if their families are as large as each other; else {}."""
     by_channel: dict[str, list[int]] = {}
-    for family, columns in indexed.items():
-        if family.channel:
-            by_channel.setdefault(family.channel, []).extend(columns)
+    for (_, channel), columns in families.items():
+        if channel:
+            by_channel.setdefault(channel, []).extend(columns)
     sizes = {len(columns) for columns in by_channel.values()}
     has_several = len(by_channel) > 1 and NORMAL in by_channel
-    if has_several and len(sizes) == 1:
-        return by_channel
-    return {}
-
-
-def _of_channel(
-    channel: str, names: Sequence[str], columns: list[int], where: str
-) -> list[int]:
-    of_channel = [k for k in columns if _family(names[k]).channel == channel.lower()]
-    if not of_channel:
-        raise SourceError(
-            f"{where}: channel: no column of {channel!r} among the stated ones"
-        )
-    return of_channel
+    return by_channel if has_several and len(sizes) == 1 else {}
 
 
 def _placed(

@@ -27,6 +27,8 @@ CHANNEL = "channel"
 NONE = "-"
 """Roles of an axis; none: it has one entry."""
 Roles = tuple[str, ...]
+FIRST: Roles = (FRAMES,)
+"""Begin of the roles of an array whose first axis is that of the frames."""
 XYZ = ("x", "y", "z")
 ROW_LABELS = (*ROW_WORDS, "height", "row_count")
 COL_LABELS = (*COL_WORDS, "width", "col_count")
@@ -94,14 +96,14 @@ def roles_of(
     usual = [roles for roles, cost in costs.items() if cost == least_cost]
 
     # Turned frames of the first axis are as likely as others of a later one.
-    if all(roles[0] != FRAMES for roles in usual):
+    if not any(roles[:1] == FIRST for roles in usual):
         usual += [
             roles
             for roles, cost in costs.items()
-            if roles[0] == FRAMES and cost <= least_cost + TRANSPOSED
+            if roles[:1] == FIRST and cost <= least_cost + TRANSPOSED
         ]
     # Of several axes that may be that of the frames, the first one, if that leaves one way.
-    firsts = [roles for roles in usual if roles[0] == FRAMES]
+    firsts = [roles for roles in usual if roles[:1] == FIRST]
     is_usual = first_is_usual is None or (first_is_usual and _first_is_plausible(axes))
     if len(usual) > 1 and len(firsts) == 1 and is_usual:
         return firsts[0], True
@@ -156,11 +158,11 @@ def _assignments(axes: Sequence[Axis], has_frames: bool) -> Iterator[Roles]:
     if has_frames:
         frame_axes = [*range(len(axes)), None]
     for frame_axis in frame_axes:
-        others = [at for at in range(len(axes)) if at != frame_axis]
-        items = [at for at in others if axes[at].size != 1]
+        item_axes = [at for at in range(len(axes)) if at != frame_axis]
+        items = [at for at in item_axes if axes[at].size != 1]
         # A grid of one row is a grid.
-        if len(others) == 2:
-            items = others
+        if len(item_axes) == 2:
+            items = item_axes
         if len(items) >= len(ROLES_OF_ITEMS):
             continue
         for roles_of_items in ROLES_OF_ITEMS[len(items)]:
@@ -274,8 +276,10 @@ def _first_is_plausible(axes: Sequence[Axis]) -> bool:
     """True if the first axis is longer than the others, or these are one, or a square, of another
     side. A single entry may be a frame, or a row.
     """
-    first, *others = [axis.size for axis in axes]
-    others = [size for size in others if size > 1]
-    is_square = len(axes) == 3 and len(others) == 2 and others[0] == others[1]
-    is_of_others = (len(others) == 1 or is_square) and first not in others
-    return first != 1 and (is_of_others or all(size < first for size in others))
+    n_first, *item_sizes = [axis.size for axis in axes]
+    item_sizes = [size for size in item_sizes if size > 1]
+    is_square = (
+        len(axes) == 3 and len(item_sizes) == 2 and item_sizes[0] == item_sizes[1]
+    )
+    is_of_others = (len(item_sizes) == 1 or is_square) and n_first not in item_sizes
+    return n_first != 1 and (is_of_others or all(size < n_first for size in item_sizes))

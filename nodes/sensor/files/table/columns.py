@@ -92,8 +92,8 @@ def _time_column(head: TableHead) -> int | None:
     # Names first, then texts that are times, then dates.
     by_name = [k for k, name in enumerate(head.names) if name and is_time_name(name)]
     by_name = [k for k in by_name if _holds_values(head.cells(k))]
-    others = [k for k in range(head.width) if k not in head.numeric]
-    texts = [k for k in others if _text_unit(head.cells(k))]
+    without_numbers = [k for k in range(head.width) if k not in head.numeric]
+    texts = [k for k in without_numbers if _text_unit(head.cells(k))]
     unindexed = [k for k in head.numeric if not head.is_indexed(k)]
     dates = [k for k in unindexed if is_epoch(head.numbers(k))]
     for candidates in (by_name, texts, dates):

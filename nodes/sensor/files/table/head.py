@@ -191,8 +191,8 @@ def _find_data(head: TableHead) -> None:
     # A title of as many words as the table has columns stands before the names of these.
     while len(lines) > 2 and _are_names(lines[1].cells[: head.width]):
         lines = lines[1:]
-    first, *later = lines
-    cells = first.cells[: head.width]
+    top, *later = lines
+    cells = top.cells[: head.width]
 
     # Numbers above lines of taxels are the times.
     counts = _count_columns(cells)
@@ -204,14 +204,14 @@ def _find_data(head: TableHead) -> None:
         if not is_labelled or counts:
             head.names = tuple(cell.strip() for cell in cells)
         if is_labelled:
-            head.notes += (f"the line {shown(first.text)} labels the columns",)
-        head.header = first.text
-        head.data = [line for line in later if line.text != first.text]
+            head.notes += (f"the line {shown(top.text)} labels the columns",)
+        head.header = top.text
+        head.data = [line for line in later if line.text != top.text]
         _drop_units(head)
     else:
-        _ask_for_label(head, first, rows)
+        _ask_for_label(head, top, rows)
         head.data = lines
-        _name_by_comment(head, first.number)
+        _name_by_comment(head, top.number)
         if head.width > 1 and counts:
             note = "the first line counts: it is read as a frame; skip=1 if it is names"
             head.notes += (note,)
@@ -321,8 +321,10 @@ def _count_columns(cells: Sequence[str]) -> bool:
 
 def _name_by_comment(head: TableHead, first_number: int) -> None:
     """Names of columns in the comment before the data, as np.savetxt writes them."""
-    before = [line.text.strip() for line in head.raw if line.number < first_number]
-    comment = next(filter(None, reversed(before)), "")
+    texts_before = [
+        line.text.strip() for line in head.raw if line.number < first_number
+    ]
+    comment = next(filter(None, reversed(texts_before)), "")
     if not comment.startswith(COMMENTS):
         return
     names = tuple(head.dialect.cells(comment.lstrip("#%/ ")))
