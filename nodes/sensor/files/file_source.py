@@ -12,7 +12,7 @@ import hashlib
 import os
 import shlex
 from collections import deque
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
@@ -243,7 +243,11 @@ class RecordedSource(Source):
             lines += frames.notes()
             self._is_told = True
         if not (self._layout.unit or frames.head.unit or self._raw):
-            lines += _assumed_unit(self.skin.unit)
+            line = f"states no unit: taken as {self.skin.unit}; set unit where it is another"
+            if self.skin.unit == COUNTS:
+                line = "whole numbers without a unit: shown as counts; a calibration "
+                line += "makes newtons of them"
+            lines.append(line)
         if not (frames.is_timed or self._layout.rate_hz or frames.head.rate_hz):
             hint = "set rate_hz where it is another"
             lines.append(f"states no rate: taken as {DEFAULT_RATE_HZ:g} Hz; {hint}")
@@ -322,19 +326,18 @@ def n_taxels(path: str, layout: Layout = EMPTY, raw: bool = False) -> int | None
     """Number of taxels of a recording, from the begin of its file, which a launch checks so; None
     where later frames decide it. Raises SourceError as `open_file`.
     """
+    # A launch asks several times: the answer holds until the file changes.
     with (
         proposing(path, layout, raw),
-        located(path) as (name, parts),
+        located(path) as (name, _),
         reading(name) as file,
     ):
-        # A launch asks several times: the answer holds until the file changes.
         status = os.fstat(file.fileno())
         key = (name, status.st_mtime_ns, status.st_size, layout, raw)
         if key not in _HEADS:
-            of_file = File(file, name, parts, layout, raw)
-            frames = Frames(of_file, recording_of(of_file))
-            _HEADS.clear()
-            _HEADS[key] = frames.n_taxels
+            with opened(path, layout, raw) as frames:
+                _HEADS.clear()
+                _HEADS[key] = frames.n_taxels
         n = _HEADS[key]
     if MASK in (layout.nan, layout.negative):
         return None
@@ -448,16 +451,14 @@ def _range(frames: Frames, survey: Survey, treatment: Treatment) -> float:
         peak = max(peak, -survey.lowest)
     if frames.raw:
         return max(peak, f_max or 1.0)
-    if f_max is None:
-        if peak <= 0:
-            fault = "all readings are 0, so its range is unknown; state f_max"
-            raise SourceError(f"{frames.name}: {fault}")
-        return peak
     # In float32 as the frames are: 0.1 in a float32 recording is above 0.1 in float64.
-    if np.float32(peak) > np.float32(f_max):
+    if f_max is not None and np.float32(peak) > np.float32(f_max):
         fault = f"f_max = {f_max:g} is below the largest reading, {peak:g}"
         raise SourceError(f"{frames.name}: {fault}")
-    return float(f_max)
+    if f_max is None and peak <= 0:
+        fault = "all readings are 0, so its range is unknown; state f_max"
+        raise SourceError(f"{frames.name}: {fault}")
+    return float(peak if f_max is None else f_max)
 
 
 def _unit(frames: Frames) -> str:
@@ -465,22 +466,12 @@ def _unit(frames: Frames) -> str:
     setting = frames.layout.unit
     of_file = frames.head.unit
     check_unit(frames.name, of_file)
-    if setting is not None and of_file is not None and setting != of_file:
-        contradiction = (
+    if setting and of_file and setting != of_file:
+        fault = (
             f"unit = {shown(setting)} is stated, but the file states {shown(of_file)}"
         )
-        raise SourceError(f"{frames.name}: {contradiction}")
-    unit = setting or of_file
-    if unit:
-        return unit
-    if frames.is_whole:
-        return COUNTS
-    return "raw" if frames.raw else "N"
-
-
-def _assumed_unit(unit: str) -> Sequence[str]:
-    if unit == COUNTS:
-        return [
-            "whole numbers without a unit: shown as counts; a calibration makes newtons of them"
-        ]
-    return [f"states no unit: taken as {unit}; set unit where it is another"]
+        raise SourceError(f"{frames.name}: {fault}")
+    assumed = COUNTS
+    if not (setting or of_file or frames.is_whole):
+        assumed = "raw" if frames.raw else "N"
+    return setting or of_file or assumed

@@ -166,10 +166,15 @@ class Treatment:
             frames[:, self._survey.exists & ~self.gone] -= np.float32(self.offset)
         return frames
 
+    @property
+    def _n_negative(self) -> int:
+        """Number of readings below 0 that are treated."""
+        if self._layout.negative == REFUSE:
+            return 0
+        return self._survey.n_negative
+
     def lines(self, unit: str) -> list[str]:
         """One line for a log on each kind of invalid reading; none where there was none."""
-        done = {ZERO: "set to 0", MASK: "masked", KEEP: "kept"}
-        subtracted = f"{self.offset:g} {unit} subtracted from all readings"
         lines = []
         n_missing = self._survey.n_missing
         if n_missing:
@@ -178,12 +183,11 @@ class Treatment:
             if way == MASK:
                 line += ", NaN in arrays"
             lines.append(line)
-        is_told = self._survey.n_negative and self._layout.negative != REFUSE
-        if is_told:
-            way = done.get(self._negative, subtracted)
-            lines.append(
-                f"{self._survey.n_negative} readings of the file are below 0: {way}"
-            )
+        if self._n_negative:
+            ways = {ZERO: "set to 0", MASK: "masked", KEEP: "kept"}
+            subtracted = f"{self.offset:g} {unit} subtracted from all readings"
+            way = ways.get(self._negative, subtracted)
+            lines.append(f"{self._n_negative} readings of the file are below 0: {way}")
         if lines and self.n_masked:
             lines[-1] += f" ({self.n_masked} taxels masked)"
         return lines
@@ -191,8 +195,7 @@ class Treatment:
     def counts(self) -> dict[str, Any]:
         """Counts for a summary; none where all readings were valid."""
         survey = self._survey
-        is_told = survey.n_negative and self._layout.negative != REFUSE
-        if not (survey.n_missing or is_told):
+        if not (survey.n_missing or self._n_negative):
             return {}
         return {
             "not_finite": survey.n_missing,
