@@ -18,16 +18,9 @@ from sparseskin.nodes.numerics.arrays import Indices
 from .layout import Layout, UnstatedError
 from .names import NORMAL, select
 from .roles import CHANNEL, COLS, ROWS, XYZ, roles_of
+from .roles import Axis as Axis  # part of the interface
 
 MAX_WAYS = 8
-
-
-class Axis(NamedTuple):
-    """An axis of an item: its size, what the source calls it, and names of its entries."""
-
-    size: int
-    label: str = ""
-    names: tuple[str, ...] = ()
 
 
 class Arrangement(NamedTuple):

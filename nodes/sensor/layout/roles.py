@@ -9,15 +9,12 @@ from __future__ import annotations
 import math
 from collections.abc import Collection, Iterator, Sequence
 from itertools import permutations
-from typing import TYPE_CHECKING
+from typing import NamedTuple
 
 from sparseskin.nodes.errors import SourceError
 
 from .layout import Layout, UnstatedError
 from .names import COL_WORDS, ROW_WORDS
-
-if TYPE_CHECKING:
-    from .arrangement import Axis
 
 FRAMES = "frames"
 ROWS = "rows"
@@ -54,6 +51,14 @@ TRANSPOSED = 2  # columns come before rows
 UNSTATED_CHANNEL = 4
 UNUSED_CHANNEL = 8
 ONE_FRAME = 16
+
+
+class Axis(NamedTuple):
+    """An axis of an item: its size, what the source calls it, and names of its entries."""
+
+    size: int
+    label: str = ""
+    names: tuple[str, ...] = ()
 
 
 def roles_of(
