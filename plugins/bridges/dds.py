@@ -204,13 +204,11 @@ class Member:
         """State the node and its endpoints to nodes of Jazzy and later, each time that these or
         those change. In Humble, whose readers state no hash, that message has another form.
         """
-        types = cdr.types().types
         writer = self._nodes
         announced = None
 
         def gids(guids: list[UUID]) -> list[Any]:
-            gid = types["rmw_dds_common/msg/Gid"]
-            return [gid(np.frombuffer(guid.bytes, np.uint8)) for guid in guids]
+            return [(np.frombuffer(guid.bytes, np.uint8),) for guid in guids]
 
         def are_of_jazzy(readers: Any) -> bool:
             for reader in readers:
@@ -220,10 +218,8 @@ class Member:
             return False
 
         def announcement(reader_guids: list[UUID], writer_guids: list[UUID]) -> Any:
-            node = types["rmw_dds_common/msg/NodeEntitiesInfo"](
-                "/", name, gids(reader_guids), gids(writer_guids)
-            )
             (gid,) = gids([self.participant.guid])
+            node = ("/", name, gids(reader_guids), gids(writer_guids))
             data = cdr.encoded(NODES, gid=gid, node_entities_info_seq=[node])
             return ready(writer.topic.data_type, data)
 
