@@ -13,7 +13,7 @@ from sparseskin.nodes.settings import setting
 from . import cdr, topics
 from .base import Bridge, BridgeSettings, Map, check_words, point_columns
 
-Form = tuple[str, str, Callable[[Any, SkinState], bytes]]
+Form = tuple[str, str, Callable[[Any, Any], bytes]]
 OF_MAPS: dict[str, Form] = {
     "image": ("", cdr.IMAGE, lambda m, _: cdr.image(_time(m), m.patch, m.forces[0])),
     "points": ("/points", cdr.CLOUD, lambda m, skin: _cloud(m, skin)),

@@ -23,8 +23,7 @@ from sparseskin.plugins.boards.settings import split_source, typed
 
 from . import topics
 from .frames import MessageReader, Received, Turns, choose_field
-from .messages import installed
-from .messages.definitions import Definitions
+from .messages.definitions import Definitions, learn
 
 WAIT_S = 0.1
 HISTORY = 1000
@@ -93,7 +92,7 @@ class TopicFrames:
         self.why = "none"
         self._source = source
         self._layout = layout
-        installed.learn(kind)
+        learn(kind)
         self._reader = MessageReader(Definitions(), kind, layout)
         self._is_chosen = bool(layout.field)
         self._arrangement: Arrangement | None = None

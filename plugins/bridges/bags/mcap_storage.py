@@ -16,6 +16,7 @@ from sparseskin.nodes.recorder.bag.records import (
     HEAD_BYTES,
     MAGIC,
     MAX_CHUNK_BYTES,
+    Break,
     Record,
     chunk_records,
     message_of,
@@ -28,8 +29,8 @@ from sparseskin.plugins.bridges.messages.definitions import full_name
 from .chunks import ChunkedStorage, begin_of_chunk
 from .storage import Topic
 
-FOOTER = struct.Struct("<BQQQI")
-"""The last record: opcode, length, begin of the summary and of its offsets, checksum."""
+FOOTER_BYTES = HEAD_BYTES + 20
+"""Size of the last record, of two places and a checksum."""
 CHUNK_HEAD = struct.Struct("<BQQQQI")
 """Begin of a chunk: opcode, length, times, size and checksum of its records."""
 FORMS = {"ros1msg": "msg", "ros2msg": "msg", "ros2idl": "idl"}
@@ -46,11 +47,11 @@ class McapStorage(ChunkedStorage):
         super().__init__(path, name)
         self._schemas: dict[int, Topic] = {}
         with reading(path) as file:
-            begin = _begin_of_summary(file)
-            stop = file.seek(0, 2) - len(MAGIC) - FOOTER.size
+            end = file.seek(0, 2) - len(MAGIC)
+            begin = _begin_of_summary(file, end)
         self.is_closed = begin is not None
         if begin:
-            self.index = (begin, stop)
+            self.index = (begin, end - FOOTER_BYTES)
 
     def records(self, file: IO[bytes], begin: int, stop: int) -> Iterator[Record]:
         for record in records(file, begin, stop):
@@ -104,20 +105,23 @@ class McapStorage(ChunkedStorage):
             self.connections[channel.id] = (channel.topic, described)
 
 
-def _begin_of_summary(file: IO[bytes]) -> int | None:
-    """Begin of the summary, 0 where there is none; None if the file has no end."""
-    size = file.seek(0, 2)
-    end = len(MAGIC) + FOOTER.size
-    if size < end + len(MAGIC):
+def _begin_of_summary(file: IO[bytes], end: int) -> int | None:
+    """Begin of the summary, 0 where there is none; None if no footer ends the data at a byte."""
+    begin = end - FOOTER_BYTES
+    if begin < 0:
         return None
-    file.seek(size - end)
-    tail = file.read(end)
-    begin: int
-    opcode, length, begin, _, _ = FOOTER.unpack_from(tail)
-    is_footer = opcode == Opcode.FOOTER and length == FOOTER.size - HEAD_BYTES
-    if not tail.endswith(MAGIC) or not is_footer or begin >= size:
+    file.seek(end)
+    if file.read() != MAGIC:
         return None
-    return begin
+    try:
+        record = next(records(file, begin, end))
+        footer = record.parsed(mcap.records.Footer.read)
+    except Break:
+        return None
+    if record.opcode != Opcode.FOOTER or footer.summary_start >= end:
+        return None
+    begin_of_summary: int = footer.summary_start
+    return begin_of_summary
 
 
 def _inner(plain: bytes, offset: int) -> Iterator[Record]:

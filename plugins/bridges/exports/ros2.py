@@ -32,6 +32,7 @@ from sparseskin.nodes.recorder.bag.frames import (
 from sparseskin.nodes.recorder.bag.reader import BagReader
 from sparseskin.plugins.bridges import cdr
 from sparseskin.plugins.bridges.base import check_installed
+from sparseskin.plugins.bridges.ros2 import OF_CONTACTS
 
 _MAX_SECONDS = (1 << 31) - 1
 BOOL = "std_msgs/msg/Bool"
@@ -98,11 +99,10 @@ def _messages(
     if isinstance(message, STATES):
         yield topic, *scalar(STRING, json.dumps(state_json(message)))
     elif isinstance(message, Contacts):
-        yield f"{topic}/wrench", cdr.WRENCH, cdr.contact_wrench(stamp, message)
-        yield f"{topic}/array", cdr.ARRAY, cdr.contact_array(message)
-        if skin is not None:
-            markers = cdr.contact_markers(stamp, message, skin)
-            yield f"{topic}/markers", cdr.MARKERS, markers
+        for name, (ending, kind, make) in OF_CONTACTS.items():
+            # What is drawn has the unit and the range of the skin.
+            if skin is not None or name != "markers":
+                yield topic + ending, kind, make(message, skin)
     elif isinstance(message, Measurements):
         yield topic, *image(np.asarray(message.y))
     elif forces is not None:

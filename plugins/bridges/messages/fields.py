@@ -101,10 +101,13 @@ def _names_beside(message: Message, steps: list[Step], n: int) -> tuple[str, ...
 
     for name in NAMES:
         try:
-            value = _value_of(message, [*stem, name, *ending])
+            values = _walk(message, [*stem, name, *ending], 0, ()).values
         except SourceError:
             continue
-        texts = tuple(map(str, value))
+        if values.ndim != 1 or values.dtype.kind not in "iuU":
+            continue
+
+        texts = tuple(map(str, values.tolist()))
         digits = [re.search(r"\d+", text) for text in texts]
         numbers = [int(match[0]) for match in digits if match is not None]
         are_names = len(texts) == n == len(numbers) == len(set(texts))
@@ -119,23 +122,6 @@ def _taxel_name(text: str) -> str:
     if text.isdecimal():
         return f"taxel_{text}"
     return text
-
-
-def _value_of(message: Message, steps: list[Step]) -> list[Any]:
-    """The entries of a list of texts or whole numbers. Raises SourceError if there are none."""
-    value: Any = message
-    for at, step in enumerate(steps):
-        if isinstance(value, Message) and isinstance(step, str):
-            value = _of_message(value, step)
-        elif step is None and isinstance(value, list) and at + 1 < len(steps):
-            return [_of_message(entry, steps[-1]) for entry in value]
-        elif isinstance(value, np.ndarray) and isinstance(step, str):
-            value = _member_of(value, step)
-    if isinstance(value, np.ndarray) and value.dtype.kind in "iu" and value.ndim == 1:
-        return list(value.tolist())
-    if isinstance(value, list) and all(isinstance(entry, int | str) for entry in value):
-        return value
-    raise SourceError("no list of names")
 
 
 def value_at(message: Message, path: str) -> int | float | Message:
@@ -218,7 +204,9 @@ def _walk(
     if isinstance(value, Message) and value.kind in KINDS:
         grid = grid_of(value)
         return _Walked(grid.values, (*axes, *grid.axes), True)
-    if not isinstance(value, np.ndarray | int | float):
+    # A list of texts may be the names of numbers.
+    is_of_texts = isinstance(value, list) and all(isinstance(v, str) for v in value)
+    if not (is_of_texts or isinstance(value, np.ndarray | int | float | str)):
         raise SourceError(
             "field: a list of messages; state [] or [k], and the name of a number"
         )
