@@ -47,6 +47,7 @@ def message(kind: str, stated: Stated = ()) -> Any:
     """
     store = types()
     _, members = store.fielddefs[kind]
+    # Short messages, as times and points, are stated by position.
     if not isinstance(stated, Mapping):
         names = [name for name, _ in members]
         stated = dict(zip(names, stated, strict=False))
@@ -82,6 +83,7 @@ def encoded(kind: str, **stated: Any) -> bytes:
 
 
 def _bytes_of(values: npt.NDArray[np.float32]) -> npt.NDArray[np.uint8]:
+    # Bytes are viewed, not copied, where the values are in this form already.
     return np.ascontiguousarray(values, "<f4").reshape(-1).view(np.uint8)
 
 
@@ -104,6 +106,7 @@ def cloud(
 ) -> bytes:
     """A sensor_msgs/PointCloud2 of `point_columns`."""
     number_of = types().types[FIELD]
+    # A point is a record of its columns, four bytes each.
     points = np.stack(list(columns.values()), axis=1)
     n, n_fields = points.shape
     fields = []
@@ -128,6 +131,7 @@ def array(values: Floats, labels: tuple[str, str] = ("rows", "cols")) -> bytes:
     """A std_msgs/Float32MultiArray of values (n_rows, n_cols), row after row."""
     n_rows, n_cols = values.shape
     row_label, col_label = labels
+    # The stride of a dimension counts the numbers within it, itself included.
     sides = [(row_label, n_rows, n_rows * n_cols), (col_label, n_cols, n_cols)]
     data = np.ascontiguousarray(values, "<f4").reshape(-1)
     return encoded(ARRAY, layout=(sides,), data=data)
@@ -156,6 +160,7 @@ def contact_markers(
     """
     # Numbers of the types and actions.
     number_of = types().types[MARKER]
+    # Markers of one frame differ in shape and place alone.
     shared = {
         "header": (stamp, contacts.patch),
         "color": COLOURS[contacts.trusted[0]],

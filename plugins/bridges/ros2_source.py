@@ -105,6 +105,7 @@ class TopicFrames:
         shape or the frame_id of the messages has to be stated.
         """
         try:
+            # The field is chosen by the first message that holds any.
             if not self._is_chosen:
                 self._reader.field = self._chosen_field(data)
                 self._is_chosen = True
@@ -137,6 +138,7 @@ class TopicFrames:
             return None
 
         stamp_ns = self._stamp_ns(received)
+        # A stamp that is far behind is that of a publisher which was started again.
         if self._last_ns - RESTART_NS < stamp_ns <= self._last_ns:
             self._refuse("a stamp that is not after the one before it")
             return None
@@ -178,10 +180,12 @@ def frames(
         print(f"{source}: {member.where}", file=sys.stderr, flush=True)
         kind, reliable = _publication(member, topic, query.timeout_s)
         read = TopicFrames(source, kind, layout)
+        # A reader that asks for more than the writer offers is never matched with it.
         reader = member.reader(topic, kind, HISTORY, reliable)
         n_logged = 0
         heard_s = time.monotonic()
         while True:
+            # Short waits: a command or a signal ends the source in between.
             messages = reader.take(WAIT_S, BATCH)
             if messages:
                 heard_s = time.monotonic()
@@ -211,6 +215,7 @@ def _publication(member: Any, topic: str, timeout_s: float) -> tuple[str, bool]:
     deadline_s = time.monotonic() + timeout_s
     published: dict[str, tuple[str, bool]] = {}
     while time.monotonic() < deadline_s:
+        # Discovery takes some time after a participant has joined.
         published = member.publications()
         if topic in published:
             return published[topic]

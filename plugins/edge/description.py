@@ -95,6 +95,7 @@ class EdgeDescription(Settings):
             raise SettingsError(
                 f"m: {self.m} is not allowed; allowed: 1..{self.n_taxels}"
             )
+        # Rotating rows need as many taxels as subsets of m rows use.
         if self.rows == ROTATING:
             check_subsets(self.n_taxels, self.m)
 
@@ -127,7 +128,9 @@ class EdgeDescription(Settings):
         """
         texts = None
         if mask is not None:
+            # As the file states a mask: a text a row.
             texts = tuple("".join(row) for row in np.where(mask, "1", "0"))
+        # The number of measurements depends on that of the taxels, which the mask decides.
         description = cls(n_rows, n_cols, m=1, mask=texts, **values)
         settings = CompressorSettings(phi="sbhe", ratio=ratio, m=m, rows=rows)
         resolved, n_measurements = settings.rows_and_m(description.n_taxels)
@@ -183,6 +186,7 @@ class EdgeDescription(Settings):
     def subsets(self) -> list[SbhePhi]:
         """The matrix of each row subset."""
         phi = SbhePhi(self.n_taxels, self.m, self.seed, self.block, self.rule)
+        # Fixed rows are one subset.
         phis = row_subsets(phi, self.rows)
         return [subset for subset in phis if isinstance(subset, SbhePhi)]
 
@@ -244,6 +248,7 @@ class EdgeDescription(Settings):
             if field.name not in {*values, "mask"}:
                 raise SettingsError(f"{field.name}: is missing")
         fingerprint_here = description.phi.fingerprint
+        # A matrix that differs by one row would give wrong forces without a sign of it.
         if fingerprint_here != fingerprint:
             seed = description.seed
             raise SettingsError(
@@ -276,6 +281,7 @@ class EdgeFrame(NamedTuple):
 
     def measurements(self, bits: int, unit: float) -> Quantised:
         """Return the measurements; `unit` is the force of one count."""
+        # Codes are in counts; the step turns them into forces.
         return Quantised.of(self.codes, bits, self.step * unit)
 
 
@@ -294,6 +300,7 @@ def frame_bytes(
     """The bytes that the edge sends for frame `seq`, modulo 65536, of the matrix with fingerprint
     `phi`; `y`: measurements (m,) in counts, of `description.bits` bits.
     """
+    # Eight digits of the fingerprint name the matrix in four bytes.
     head = _HEAD.pack(VERSION, int(phi[:8], 16), y.step)
     payload = head + packed(y.codes(), description.bits)
     return framing_of(description).encode(payload, seq)
@@ -313,6 +320,7 @@ def compressed(
     for seq, counts in enumerate(frames):
         phi = subsets[seq % len(subsets)]
         of_taxels = counts.reshape(-1)[description.cells]
+        # As the program does: a converter has no more bits.
         readings = np.minimum(of_taxels, description.full_scale)
         y = quantised(phi.forward(readings.astype(np.float32)), description.bits)
         yield frame_bytes(description, seq, phi.fingerprint, y)

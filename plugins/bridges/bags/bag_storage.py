@@ -68,6 +68,7 @@ class BagStorage(ChunkedStorage):
         with reading(path) as file:
             size = file.seek(0, 2)
             try:
+                # The first record states where the index begins.
                 header = next(self.records(file, len(MAGIC), size), None)
                 if header is not None and header.opcode == OP_HEADER:
                     (begin,) = header.unpacked(INDEX, b"index_pos")
@@ -90,6 +91,7 @@ class BagStorage(ChunkedStorage):
         if record.opcode != OP_CHUNK:
             return (record,)
         plain = _plain(record)
+        # A chunk has no checksum: its size is all that can be compared.
         if len(plain) != record.number(b"size"):
             raise Break(record.offset, "its size is wrong")
         return self.records(io.BytesIO(plain), 0, len(plain))
@@ -129,6 +131,7 @@ def _bytes(file: IO[bytes], offset: int, stop: int, most: int) -> bytes:
     if len(raw) < LENGTH.size:
         raise Break(offset, "the file ends in the middle of a record")
     (n_bytes,) = LENGTH.unpack(raw)
+    # A length is compared with what there is before anything is read.
     if n_bytes > stop - file.tell():
         why = "the file ends in the middle of a record, or its length is wrong"
         raise Break(offset, why)

@@ -68,6 +68,7 @@ class ChunkedStorage(Storage):
                 for record in self.records(file, len(self.MAGIC), size):
                     yield from self._of_record(record, topics)
             except Break as fault:
+                # What was read so far remains: the loss is named, and the rest is tried.
                 place = fault.offset
                 self.losses.append(f"behind byte {place} of {size} ({fault.why})")
                 file.seek(place)
@@ -112,6 +113,7 @@ def begin_of_chunk(
         if form in ("", "none"):
             return data[:n_bytes]
         if form == "zstd":
+            # A stream stops at the stated size, whatever the bytes would become.
             decompressor = zstandard.ZstdDecompressor(max_window_size=MAX_WINDOW_BYTES)
             return bytes(decompressor.stream_reader(data).read(n_bytes))
         decompressor = _DECOMPRESSORS[form]()

@@ -70,6 +70,7 @@ class McapStorage(ChunkedStorage):
         if len(heading) < CHUNK_HEAD.size or heading[0] != Opcode.CHUNK:
             return ()
         _, _, _, _, n_plain, _ = CHUNK_HEAD.unpack(heading)
+        # The name of the compression and the size of the records follow, then these.
         content = io.BytesIO(file.read(MAX_CHUNK_BYTES))
         stream = ReadDataStream(content)
         try:
@@ -99,6 +100,7 @@ class McapStorage(ChunkedStorage):
             channel = record.parsed(mcap.records.Channel.read)
             encoding = channel.message_encoding
             described = Topic(encoding)
+            # A topic of another encoding is listed by that, and never read as ROS.
             if encoding in VERSIONS:
                 schema = self._schemas.get(channel.schema_id, Topic(""))
                 described = schema._replace(ros=VERSIONS[encoding])
@@ -107,6 +109,7 @@ class McapStorage(ChunkedStorage):
 
 def _begin_of_summary(file: IO[bytes], end: int) -> int | None:
     """Begin of the summary, 0 where there is none; None if no footer ends the data at a byte."""
+    # From the end: the footer states where the summary begins.
     begin = end - FOOTER_BYTES
     if begin < 0:
         return None

@@ -8,6 +8,7 @@ import tempfile
 import weakref
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Collection, Iterator, Sequence
+from functools import partial
 from pathlib import Path
 from typing import IO, NamedTuple
 
@@ -103,7 +104,9 @@ class Workspace:
             return self._copies[path]
         if not self._folder:
             self._folder = tempfile.mkdtemp(prefix="sparseskin-")
+            # Removed with the last reader, or at the end of the program.
             weakref.finalize(self, shutil.rmtree, self._folder, ignore_errors=True)
+        # Checked before anything is written: a full disk would stop other programs.
         if n_bytes > self.free_bytes:
             needed = f"needs {n_bytes / 1e6:.0f} MB in {self._folder}, which has"
             raise SourceError(f"{path}: {needed} {self.free_bytes / 1e6:.0f} MB")
@@ -128,6 +131,7 @@ def workspace_of(paths: Sequence[str]) -> Workspace:
     """The copies of some files, as long as these are not changed."""
     files = [Path(path + ending) for path in paths for ending in ("", *LOGS)]
     states = [file.stat() for file in files if file.is_file()]
+    # Their contents are not compared: that would read all of them.
     versions = [(state.st_mtime_ns, state.st_size) for state in states]
     key = (*paths, *versions)
     # A file that was written again has other copies.
@@ -163,7 +167,7 @@ def _decompress(file: IO[bytes], out: Path, path: str, free_bytes: int) -> str:
     decompressor = zstandard.ZstdDecompressor(max_window_size=MAX_WINDOW_BYTES)
     try:
         with out.open("wb") as copy, decompressor.stream_reader(file) as stream:
-            while part := stream.read(COPY_BYTES):
+            for part in iter(partial(stream.read, COPY_BYTES), b""):
                 room_bytes -= len(part)
                 if room_bytes < 0:
                     raise SourceError(f"{path}: is far larger than its file; {CONVERT}")
@@ -220,6 +224,7 @@ def plain_message(data: bytes) -> bytes:
     if not data.startswith(ZSTD_MAGIC):
         return data
     try:
+        # The size is stated by the message itself, and read before memory is used.
         if zstandard.frame_content_size(data) > MAX_MESSAGE_BYTES:
             raise SourceError(f"a message is larger than {MAX_MESSAGE_BYTES} bytes")
         decompressor = zstandard.ZstdDecompressor(max_window_size=MAX_WINDOW_BYTES)

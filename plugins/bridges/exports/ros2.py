@@ -57,6 +57,7 @@ def export_ros2(
     check_installed("writing for ROS 2", "ros2", "rosbags", error=BagError)
     from rosbags.rosbag2 import StoragePlugin, Writer
 
+    # What is wrong with the bag is reported before a folder is made.
     read_topics = with_states(bag, stream_topics(bag, topics))
     patches = {patch_of(topic) for topic in read_topics}
     skins = {patch: skin_of(bag, patch) for patch in patches}
@@ -68,6 +69,7 @@ def export_ros2(
             for message, log_time_ns in streams(bag, read_topics, "export"):
                 skin = skins[message.patch]
                 for topic, kind, data in _messages(message, skin, bag.path):
+                    # Only topics with a message are in the bag.
                     if topic not in connections:
                         connections[topic] = writer.add_connection(
                             topic, kind, typestore=cdr.types()
@@ -107,6 +109,7 @@ def _messages(
         yield topic, *image(np.asarray(message.y))
     elif forces is not None:
         yield topic, *image(forces)
+        # A float32 would round the sum of many taxels.
         total = float(forces.sum(dtype=np.float64))
         yield f"{topic}/total_force", *scalar(FLOAT, total)
 

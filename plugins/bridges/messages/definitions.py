@@ -71,6 +71,7 @@ class Definitions:
         """Add the types of a definition, in the form "msg" or "idl". Those that were added before
         remain. Raises SourceError if it cannot be read.
         """
+        # The time of the parser grows with the text.
         if len(text) > MAX_TEXT_BYTES:
             limit = f"at most {MAX_TEXT_BYTES}"
             raise SourceError(
@@ -93,6 +94,7 @@ class Definitions:
 
     def members(self, kind: str) -> Members:
         """The members of a type. Raises SourceError if it is not known."""
+        # The definition in the recording goes before that of the installed ROS: it wrote the bytes.
         if kind in self._added:
             return self._added[kind]
         if self.is_of_ros(kind):
@@ -117,6 +119,7 @@ def _parsed(kind: str, text: str, form: str = "msg") -> dict[str, Any]:
     types: dict[str, Any] = {}
     try:
         if form == "idl":
+            # What is included follows in the text itself.
             lines = re.sub(r"^[ \t]*(#include|//).*", "", text, flags=re.MULTILINE)
             for part in re.split(
                 r"^={3,}[ \t]*\r?\nIDL:.*\n", lines, flags=re.MULTILINE
@@ -187,6 +190,7 @@ def learn(kind: str) -> None:
             if "/" in member.kind:
                 waiting.append(member.kind)
 
+    # All at once: types refer to each other.
     if new_types:
         store.register(new_types)
 
@@ -196,6 +200,7 @@ def _text_of(kind: str) -> str:
     package, _, name = kind.partition("/msg/")
     prefixes: list[str] = []
     if package.isidentifier() and name.isidentifier():
+        # A name from the network must not lead out of these folders.
         prefixes = os.environ.get(PREFIXES, "").split(os.pathsep)
     for prefix in prefixes:
         path = Path(prefix) / "share" / package / "msg" / f"{name}.msg"

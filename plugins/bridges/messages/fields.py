@@ -64,6 +64,7 @@ def numbers_at(message: Message, path: str) -> Numbers:
     are one, unless their names are those of rows or columns. Raises EmptyMessageError if there are
     none, SourceError if there is no such field, or its lists have several lengths.
     """
+    # A message that is a frame by itself needs no path.
     if message.kind in KINDS and (not path or path in fields_of(message)):
         return grid_of(message, path)
 
@@ -73,6 +74,7 @@ def numbers_at(message: Message, path: str) -> Numbers:
         raise EmptyMessageError("holds no number")
     if values.size > MAX_NUMBERS:
         raise SourceError(f"{values.size} numbers; at most {MAX_NUMBERS}")
+    # Contact switches are readings of 0 and 1.
     if values.dtype.kind == "b":
         values = values.view(np.uint8)
     if values.dtype.kind not in "iuf":
@@ -158,6 +160,7 @@ def paths_of(message: Message, channel: str = "") -> dict[str, Numbers]:
         with suppress(SourceError):
             fields[path] = numbers_at(message, path)
 
+    # Counters and times are fields of readings only where nothing else is.
     paths = [path for path in fields if not NO_READINGS.fullmatch(_last_name(path))]
     readings = {path: fields[path] for path in paths}
     return readings or fields
@@ -213,7 +216,7 @@ def _walk(
 
     values = np.asarray(value)
     inner_axes = tuple(Axis(size, name) for size in values.shape[n_open:])
-    has_channels = bool(inner_axes) or steps[-1] is None
+    has_channels = bool(inner_axes) or steps[-1:] == [None]
     return _Walked(values, (*axes, *inner_axes), has_channels=has_channels)
 
 
@@ -250,6 +253,7 @@ def _entry(values: Any, step: Step, name: str, n_open: int = 0) -> Any:
 
     if isinstance(values, list):
         return values[step]
+    # The axes that are open already stand before it.
     open_axes = [slice(None)] * n_open
     return np.asarray(values[(*open_axes, step)])
 
@@ -261,6 +265,7 @@ def _stacked(
     if not values:
         raise EmptyMessageError("holds no number")
 
+    # Each entry is walked by itself, and all must have one shape.
     parts = [_walk(value, steps, 0, ()) for value in values]
     shapes = {part.values.shape for part in parts}
     if len(shapes) > 1:
@@ -341,6 +346,7 @@ def _endings(value: Any, is_listed: bool) -> Iterator[str]:
 
 def _of_list(n: int, ending: str, entry: Any) -> Iterator[str]:
     """The paths into a list of messages: all entries, and each of them where it may be a skin."""
+    # A path without a list in its ending holds one number of each entry.
     is_frame = isinstance(entry, Message) and entry.kind in KINDS
     if "[]" not in ending and not is_frame:
         yield "[]" + ending
@@ -378,6 +384,7 @@ def only_channel(paths: Iterable[str], channel: str) -> list[str]:
         axes: tuple[str, ...] = XYZ
         if not letter.islower():
             axes = tuple(axis.upper() for axis in XYZ)
+        # Only where all three stand beside each other are they the axes of a force.
         siblings = {stem + axis + brackets for axis in axes}
         is_of_three = letter in axes and siblings.issubset(all_paths)
         if not is_of_three or letter.lower() == letter_wanted:
