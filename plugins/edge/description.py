@@ -7,7 +7,6 @@ edge in Python: the bytes that its program sends, by the compressor's own Phi.
 from __future__ import annotations
 
 import struct
-import tomllib
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
@@ -39,11 +38,14 @@ from sparseskin.nodes.compressor.quantiser import quantised
 from sparseskin.nodes.errors import SettingsError, SparseskinError
 from sparseskin.nodes.numerics.arrays import Mask
 from sparseskin.nodes.settings import Settings, setting
+from sparseskin.nodes.toml import parse_toml
 from sparseskin.plugins.boards.framing import Framing
 
 FILE_VERSION = 1
 MAX_CELLS = 1 << 16
 """Largest number of cells of a frame: they are numbered in 16 bits."""
+MAX_CHARS = 16 * MAX_CELLS
+"""Longest `edge.toml`: a mask of one column has nine characters a cell."""
 MAX_BLOCK = 256
 """Largest Hadamard block: 256 readings of 16 bits add up to less than 2^24, so that float32 holds
 all sums exactly."""
@@ -225,7 +227,8 @@ class EdgeDescription(Settings):
         keys or values that are not allowed, or its seed gives another matrix here.
         """
         try:
-            values = tomllib.loads(path.read_text(encoding="utf-8"))
+            with path.open(encoding="utf-8") as file:
+                values = parse_toml(file.read(MAX_CHARS + 1), MAX_CHARS)
         except OSError as error:
             raise SettingsError(f"{path}: cannot be read: {error.strerror}") from error
         except ValueError as error:

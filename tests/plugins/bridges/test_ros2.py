@@ -201,9 +201,7 @@ def test_a_topic_whose_fields_or_shape_are_not_stated_names_them():
     ):
         TopicFrames("ros2:/a", "maker_msgs/msg/None", Layout())
     with pytest.raises(SourceError, match="in which shape is not stated"):
-        TopicFrames("ros2:/a", joints.__msgtype__, Layout(field="effort")).frame(
-            bytes(state)
-        )
+        TopicFrames("ros2:/a", joints, Layout(field="effort")).frame(state)
 
 
 def test_a_topic_that_nobody_publishes_is_one_line():
