@@ -36,6 +36,8 @@ SEQUENCE = -1
 """`Member.n_entries` of a list whose length is in the message."""
 MAX_TEXT_BYTES = 1 << 20
 """Longest definition that is parsed; chosen: ten times the longest one of ROS."""
+MAX_PLAIN_BYTES = 1 << 16
+"""Longest one .msg without comments; chosen: 19 times the longest of ROS, in about a second."""
 MAX_COUNT = 1 << 26
 """Most entries of a list of fixed length; chosen: more than any message holds."""
 EMPTY = "structure_needs_at_least_one_member"
@@ -128,6 +130,8 @@ def _parsed(kind: str, text: str, form: str = "msg") -> dict[str, Any]:
                     types |= get_types_from_idl(part)
         else:
             lines = "".join(f"{line}\n" for line in _plain_lines(text))
+            if len(lines) > MAX_PLAIN_BYTES:
+                raise ValueError(f"{len(lines)} characters, at most {MAX_PLAIN_BYTES}")
             types = get_types_from_msg(lines, kind)
     except Exception as error:
         # The parser may raise anything at a text of another program.

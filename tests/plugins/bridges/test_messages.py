@@ -58,6 +58,7 @@ def test_messages_of_any_definition_are_decoded_as_they_were_written(
         ("float32 x; import os", "Any, .msg, cannot be read"),
         ("float32[] 1x", "Any, .msg, cannot be read"),
         ("#" * (1 << 20) + "\n", "1048577 bytes"),
+        ("float32 x\n" * 7000, "70000 characters, at most 65536"),
     ],
 )
 def test_hostile_definitions_are_refused_in_one_line(text, fault):
