@@ -42,6 +42,7 @@ class BoardAddress(Address):
     @classmethod
     def completions(cls, prefix: str) -> Mapping[str, str]:
         address, query, _ = prefix.partition("?")
+        # Ports are proposed until the question mark, keys after it.
         if not query:
             return dict.fromkeys(cls.ports(), "")
         start = f"{address}?"

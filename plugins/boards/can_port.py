@@ -55,6 +55,7 @@ def chunks_of(settings: CanSettings, framing: Framing) -> Chunks:
     ids = _ids_of(settings.ids)
     index_bytes = n_bytes_of(settings.index)
     counter_bytes = n_bytes_of(settings.counter)
+    # Index and counter stand in each CAN frame, before the chunk.
     room = (64 if settings.fd else 8) - index_bytes - counter_bytes
     chunk_bytes = room if settings.chunk is None else settings.chunk
     if chunk_bytes > room:
@@ -62,6 +63,7 @@ def chunks_of(settings: CanSettings, framing: Framing) -> Chunks:
             f"chunk: {chunk_bytes} bytes do not fit beside index and counter; at most {room}"
         )
 
+    # Rounded up: the last chunk may be shorter.
     n_chunks = -(-framing.n_bytes // chunk_bytes)
     if len(ids) == 1 and not index_bytes and n_chunks > 1:
         raise SourceError(
@@ -94,6 +96,7 @@ def _ids_of(text: str) -> tuple[int, ...]:
         )
     for part in text.split(","):
         ends = [_id_of(end) for end in part.split("-", 1)]
+        # Compared before the range is made, which may be of any size.
         if ends[-1] < ends[0] or ends[-1] - ends[0] >= MAX_IDS:
             raise SourceError(
                 f"ids: {shown(part)} is no range of at most {MAX_IDS} ids that rise"
@@ -110,6 +113,7 @@ def _id_of(text: str) -> int:
     text = text.strip()
     if not re.fullmatch(r"0[xX][0-9a-fA-F]{1,8}|[0-9]{1,9}", text):
         raise SourceError(f"ids: {shown(text)} is no arbitration id; e.g. 0x100")
+    # `int(text, 0)` refuses leading zeros of decimal numbers.
     number = int(text, 0) if text[:2] in ("0x", "0X") else int(text)
     if number > HIGHEST_ID:
         raise SourceError(
@@ -135,6 +139,7 @@ class Assembler:
     def add(self, arbitration_id: int, data: bytes) -> bytes | None:
         """Add the data of a CAN frame, of any id; return the frame that it completes."""
         chunks = self._chunks
+        # Other devices share the bus.
         if arbitration_id not in self._numbers:
             return None
         n_head = chunks.index_bytes + chunks.counter_bytes
@@ -153,6 +158,7 @@ class Assembler:
             starts_new = counter != self._counter
         else:
             starts_new = number == 0 or number != len(self._parts)
+        # A part that comes twice is of the next frame.
         if starts_new or number in self._parts:
             self.reset()
             self._counter = counter
@@ -164,6 +170,7 @@ class Assembler:
         self._parts[number] = data[n_head:n_needed]
         if len(self._parts) < chunks.n_chunks:
             return None
+        # With a counter they may have come in any order.
         frame = b"".join(self._parts[k] for k in range(chunks.n_chunks))
         self._parts.clear()
         self._counter = -1
@@ -233,6 +240,7 @@ class CanPort(Port):
         options: dict[str, Any] = {"channel": self.address, "fd": settings.fd}
         if settings.bitrate is not None:
             options["bitrate"] = settings.bitrate
+        # Dropped by kernel or driver before this process is woken: other devices share the bus.
         if len(ids) <= MAX_FILTERS:
             options["can_filters"] = [_filter_of(number) for number in ids]
         # What drivers of several vendors have been seen to raise.
@@ -249,6 +257,7 @@ class CanPort(Port):
         frames: list[Arrived] = []
         for k in range(MAX_MESSAGES):
             try:
+                # Only the first one is waited for.
                 message = self._bus.recv(0 if k else wait_s)
             except CanError as error:
                 raise OSError(str(error)) from error
@@ -270,6 +279,7 @@ class CanPort(Port):
         if arbitration_id not in self._chunks.ids:
             return []
         self.n_bytes += len(data)
+        # A frame came when its last chunk did.
         now_ns = time.monotonic_ns()
         raw = self._assembler.add(arbitration_id, data)
         if raw is None:

@@ -32,6 +32,7 @@ class Checksum:
 def _modbus_table() -> list[int]:
     """State after two bytes, by what they and the state before it add up to."""
     state = np.arange(1 << 16)
+    # A bit at a time, least significant first: 0xA001 is 0x8005 reversed.
     for _ in range(16):
         state = (state >> 1) ^ (0xA001 * (state & 1))
     return list(map(int, state))
@@ -43,6 +44,7 @@ def _crc16_modbus(data: bytes) -> int:
     value = 0xFFFF
     for word in np.frombuffer(data, "<u2", len(data) // 2).tolist():
         value = table[value ^ word]
+    # The last byte of an odd number by itself.
     if len(data) % 2 == 0:
         return value
     return table[((value ^ data[-1]) & 0xFF) << 8] ^ (value >> 8)

@@ -115,7 +115,9 @@ class Framing:
         if self.length is None or len(raw) < n:
             return n
 
+        # The stated length counts from the payload to the checksum.
         excess = _value(raw, self.length, self.byte_order) - least_length
+        # A forged length must not make the parser wait for bytes that never come.
         if not 0 < excess <= MAX_MORE:
             return n
         return n + excess
@@ -169,6 +171,7 @@ class Framing:
                 body[field.at : field.at + field.n_bytes] = raw
 
         check = self._check
+        # The checksum is computed last: it covers the numbers, too.
         value = check.compute(bytes(body[self._covered_from :]))
         return bytes(body) + value.to_bytes(check.n_bytes, self.byte_order) + self.end
 
@@ -179,6 +182,7 @@ class Framing:
 
     def is_whole(self, raw: bytes) -> bool:
         """True if `size` bytes are a frame: start, length, checksum and end are right."""
+        # Fixed bytes are compared first: they cost least.
         if not (raw.startswith(self.prefix) and raw.endswith(self.end)):
             return False
         for k in range(len(self.prefix), len(self.start)):
@@ -228,6 +232,7 @@ class Sequence:
 
     def admit(self, number: int | None) -> bool:
         """Count a frame by its number; False for one that came before, or after a later one."""
+        # Frames without a number cannot be counted as missing.
         if number is None:
             return True
         if self._last is None:
@@ -242,6 +247,7 @@ class Sequence:
             return False
 
         self._last = number
+        # Farther ahead than half a turn, it may as well be behind.
         if ahead <= min(self._modulus // 2, MAX_MISSING):
             self._counts.missing_frames += ahead - 1
         return True
@@ -276,6 +282,7 @@ class FrameParser:
     def feed(self, data: bytes) -> list[Frame]:
         """Add bytes to the stream; return the frames that are accepted now, in order."""
         self._buffer += data
+        # A strong checksum needs one frame to find the place again, a weak one two.
         search = self._search_one if self.framing.is_strong else self._search_two
         checks = MAX_CHECKS + 8 * len(self._buffer) // self.framing.n_bytes
         frames: list[Frame] = []
@@ -354,6 +361,7 @@ class FrameParser:
         fitting: list[int] = []
         n_tried = 0
         at = 0
+        # Within one length of a frame all places are tried, to see that only one fits.
         while 0 <= at < n and len(fitting) < 2 and n_tried < MAX_CHECKS:
             if buffer.startswith(start, at + n):
                 n_tried += 1
@@ -419,6 +427,7 @@ class PacketParser:
 
         frames = []
         for raw in raws:
+            # One damaged frame costs itself: the others of its packet are used.
             is_whole = framing.is_whole(raw)
             frame = framing.frame(raw, self._n_bytes)
             if is_whole and self._sequence.admit(frame.sequence):

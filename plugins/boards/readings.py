@@ -97,6 +97,7 @@ class Pieces:
         counts = self._counts
         at = piece.first * self._size
         n_frame_bytes = self._n * self._size
+        # The parser has counted the piece as a frame.
         counts.frames -= 1
         is_in_turn = not self._modulus or piece.sequence == self._number
         # A piece that was lost is seen by the number of the next one.
@@ -118,6 +119,7 @@ class Pieces:
             return None
 
         frame = replace(piece, payload=bytes(self._begun[:n_frame_bytes]), first=0)
+        # What is left begins the next frame.
         del self._begun[:n_frame_bytes]
         counts.frames += 1
         return frame

@@ -60,6 +60,7 @@ class SerialPort(Port):
     def open(self) -> None:
         self.check(self.address, self._settings)
         serial = needed_module("serial", "pyserial", "serial")
+        # Bytes from before belong to no frame any more.
         self.parser.reset()
         try:
             self._port = serial.Serial(
@@ -91,6 +92,7 @@ class SerialPort(Port):
             now_ns = time.monotonic_ns()
             self.n_bytes += len(data)
             self._recent.append(data)
+            # A frame came when the read with its last byte returned.
             self._arrivals.append((self.n_bytes, now_ns))
             for frame in self.parser.feed(data):
                 frames.append((self._arrival_of(frame.end), frame))
@@ -104,6 +106,7 @@ class SerialPort(Port):
 
     def close(self) -> None:
         if self._port is not None:
+            # The counters of the driver go with the device.
             self.lost()
             with contextlib.suppress(OSError):
                 self._port.close()
@@ -124,6 +127,7 @@ class SerialPort(Port):
         framing = self.parser.framing
         recent = b"".join(self._recent)
         start = framing.prefix.hex(" ").upper()
+        # Where the start bytes repeat, their distance is the length of a frame.
         matches = re.finditer(re.escape(framing.prefix), recent)
         places = [match.start() for match in matches]
         if len(places) < 2:

@@ -121,6 +121,7 @@ class BoardSettings(GridLayout):
 
     def places(self) -> Arrangement:
         """Places of the readings in a frame as it is sent."""
+        # The keys of a layout are settings of a board, too.
         names = [field.name for field in dataclasses.fields(GridLayout)]
         layout = Layout(**{name: getattr(self, name) for name in names})
         return arrange(layout, [Axis(self.n_stated or 0)], "the frame")
@@ -148,6 +149,7 @@ class BoardSettings(GridLayout):
 
     def framing(self, n_bytes: int) -> Framing:
         """Framing of a payload of so many bytes; SourceError if a key is wrong."""
+        # Pairs may be separated for the eye: AA 55.
         digits = "".join(self.start.split())
         pairs = [digits[k : k + 2] for k in range(0, len(digits), 2)]
         free_places = frozenset(k for k, pair in enumerate(pairs) if pair == "??")
@@ -250,6 +252,7 @@ class StreamSettings(BoardSettings):
         itemsize = np.dtype(self.dtype).itemsize
         n_all = n_bytes // itemsize
         n = n_all if self.piece is None else self.piece
+        # A piece is put in its place by the number of its first reading.
         if (self.piece is None) != (self.first == "none") or n > n_all:
             raise SourceError(
                 f"piece: goes with first=u16, and is at most {n_all}, the readings of the skin"
@@ -375,6 +378,7 @@ def read_settings(kind: str, query: Mapping[str, str]) -> BoardSettings:
     """Settings of a kind of board, by query and profile; SparseskinError if not allowed."""
     cls = KINDS[kind]
     of_query = dict(query)
+    # What the source states goes before what the profile does.
     profile = of_query.pop("profile", None)
     of_profile = {}
     if profile is not None:
@@ -402,6 +406,7 @@ def read_profile(name: str, cls: type[BoardSettings]) -> dict[str, Any]:
     """
     is_path = name.endswith(".toml") or "/" in name
     path = Path(name) if is_path else PROFILES / f"{name}.toml"
+    # A bare name must not lead out of the folder of profiles.
     is_name = re.fullmatch(r"\w+", name) is not None
     if not is_path and not (is_name and path.is_file()):
         hint = did_you_mean(name, profile_names())
@@ -409,6 +414,7 @@ def read_profile(name: str, cls: type[BoardSettings]) -> dict[str, Any]:
             f"profile: there is no {shown(name)}{hint}; or the path of a .toml file"
         )
 
+    # One profile may serve a board by several ports.
     all_keys: set[str] = set()
     for kind in KINDS.values():
         all_keys |= {field.name for field in dataclasses.fields(kind)}
@@ -438,6 +444,7 @@ def read_toml(path: Path) -> dict[str, Any]:
         if not path.is_file():
             raise SourceError(f"profile: {path}: no such file")
         with path.open("rb") as file:
+            # Bounded: the path may be that of any file.
             raw = file.read(MAX_CHARS + 1)
         return parse_toml(raw.decode("utf-8"))
     except OSError as error:

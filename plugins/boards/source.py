@@ -81,6 +81,7 @@ def describe_board(
         if not address:
             raise SourceError("nothing follows; expected " + _FORMS[kind])
         settings = read_settings(kind, query)
+        # The source and the settings of the sensor may both state these.
         size = {"n_rows": n_rows, "n_cols": n_cols}
         of_sensor: dict[str, Any] = {**size, "f_max": f_max, "unit": unit}
         # What the source leaves out; the unit of counts says nothing.
@@ -101,6 +102,7 @@ def describe_board(
 
         framing = settings.framing(decoder.n_bytes)
         settings.check_port()
+        # Contradictions of a bus are found before it is opened.
         if isinstance(settings, CanSettings):
             chunks_of(settings, framing)
         return Board(name, kind, address, settings, decoder, framing, skin)
@@ -157,6 +159,7 @@ class BoardSource(LiveSource):
         self._pieces = self._pieces_of(board)
         stamp = board.framing.stamp
         if stamp is not None:
+            # A counter begins at 0 again when its bytes are full.
             wrap = board.settings.stamp_wrap or 1 << 8 * stamp.n_bytes
             ns_per_tick = 1e9 / board.settings.stamp_hz
             self.clock = DeviceClock(self.name, self._lines.append, ns_per_tick, wrap)
@@ -186,6 +189,7 @@ class BoardSource(LiveSource):
         Returns the time at which its last byte came on the monotonic clock, nanoseconds, which
         rises from frame to frame; readings in [0, f_max], float32 (n_rows, n_cols).
         """
+        # The port is read ahead of the frames, so that the kernel drops none.
         if newest or len(self._waiting) < MAX_WAITING:
             self.receive(0.0 if self._waiting else wait_s)
 
@@ -253,6 +257,7 @@ class BoardSource(LiveSource):
         except SourceError:
             return False
 
+        # A frame that had begun has lost its end.
         if self._pieces is not None:
             self._pieces.reset()
         self._is_open = True
@@ -383,5 +388,6 @@ def dropped_text(figures: dict[str, int]) -> str:
         "port_errors": "errors of the port",
         "dropped_bytes": "bytes",
     }
+    # Counters that stayed at zero are not named.
     keys = [key for key in words if figures.get(key)]
     return ", ".join(f"{figures[key]} {words[key]}" for key in keys)

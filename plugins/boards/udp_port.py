@@ -59,6 +59,7 @@ class UdpPort(Port):
             if sys.platform == "linux":
                 opened.setsockopt(socket.SOL_SOCKET, SO_RXQ_OVFL, 1)
             opened.bind((self._settings.bind, int(self.address)))
+            # Several packets may wait: they are read until there is none.
             opened.setblocking(False)
         except OSError as error:
             opened.close()
@@ -83,6 +84,7 @@ class UdpPort(Port):
                 if (level, kind) == (socket.SOL_SOCKET, SO_RXQ_OVFL):
                     n_dropped = int.from_bytes(value, sys.byteorder)
                     self._n_dropped = max(self._n_dropped, n_dropped)
+            # Frames of two boards must never be mixed.
             if self._is_heard(sender, now_ns / 1e9):
                 frames += self._taken(packet, sender, now_ns)
             else:
@@ -119,6 +121,7 @@ class UdpPort(Port):
         if self._settings.sender is not None:
             address, _ = sender
             return bool(address == self._settings.sender)
+        # The first sender is held while it sends, so that no other one can take its place.
         return self._sender in (None, sender) or now_s - self._heard_s >= HOLD_S
 
     def close(self) -> None:

@@ -63,6 +63,7 @@ class BridgeSettings(Settings):
         super().__post_init__()
         if not self.patches:
             raise SettingsError("patches: expected at least one name")
+        # A name may become part of a topic of the other tool.
         for k, patch in enumerate(self.patches):
             check_patch(f"patches[{k}]", patch)
         if not self.maps:
@@ -83,6 +84,7 @@ def check_installed(
     """Raise `error` unless the modules of an extra that `what` needs are installed."""
     for module in modules:
         if find_spec(module) is None:
+            # Most packages are imported by the name under which they are installed.
             package = {"foxglove": "foxglove-sdk"}.get(module, module)
             raise error(f"{what} needs {package}; pip install 'sparseskin[{extra}]'")
 
@@ -100,8 +102,8 @@ def point_columns(
         pitch_m = skin.pitch_m or UNKNOWN_PITCH_M
         of_points = pitch_m * np.stack([cols, rows, np.zeros_like(rows)])
     else:
+        # Places, and behind them the normals.
         of_points = skin.points.T
-    # Points of a file have their normals behind their places.
     columns = dict(zip("xyz", of_points.astype(np.float32), strict=False))
     columns |= {name: layer[exists] for name, layer in layers.items()}
     if normals:
@@ -152,6 +154,7 @@ class Bridge(Node[S]):
         return tuple(topics)
 
     def step(self, message: Message) -> Iterable[Message]:
+        # The newest skin is that of all frames that follow.
         if isinstance(message, SkinState):
             self.skins[message.patch] = message
         elif isinstance(message, Taxels | Truth | Reconstruction | Contacts):
@@ -199,6 +202,7 @@ class Bridge(Node[S]):
 def _fits(message: Map | Contacts, skin: SkinState) -> bool:
     if isinstance(message, Contacts):
         return True
+    # After a restart of the sensor, frames of the old shape may still be on their way.
     return message.forces.shape[1:] == skin.skin.shape
 
 

@@ -5,14 +5,14 @@ rosbags, which needs no ROS.
 from __future__ import annotations
 
 import functools
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from sparseskin.messages import Contacts, SkinState
-from sparseskin.nodes.numerics.arrays import Doubles, Floats
+from sparseskin.nodes.numerics.arrays import Floats
 
 from .base import ROW
 from .contacts import COLOURS, numbers, shapes, wrench
@@ -22,16 +22,12 @@ CLOUD = "sensor_msgs/msg/PointCloud2"
 ARRAY = "std_msgs/msg/Float32MultiArray"
 WRENCH = "geometry_msgs/msg/WrenchStamped"
 MARKERS = "visualization_msgs/msg/MarkerArray"
-UINT32 = 6
-FLOAT32 = 7
-"""Numbers of the types of a field in sensor_msgs/PointField."""
-ARROW = 0
-SPHERE = 2
-TEXT = 9
-ADD = 0
-DELETE_ALL = 3
-"""Numbers of the types and actions of a visualization_msgs/Marker."""
-ORIGIN = np.zeros(3)
+MARKER = "visualization_msgs/msg/Marker"
+FIELD = "sensor_msgs/msg/PointField"
+UPRIGHT = (0.0, 0.0, 0.0, 1.0)
+"""A quaternion x, y, z, w that turns nothing."""
+Stated = Mapping[str, Any] | Iterable[Any]
+"""Members of a message by name, or the first ones in their order."""
 
 
 @functools.cache
@@ -45,19 +41,49 @@ def types(ros: int = 2) -> Any:
     return get_typestore(store)
 
 
-def encoded(kind: str, **fields: object) -> bytes:
-    """CDR, little endian, of a message such as "std_msgs/msg/Bool" with the stated fields."""
+def message(kind: str, stated: Stated = ()) -> Any:
+    """A message such as "std_msgs/msg/Header" with the stated members, and zeros for the others.
+    Messages within it are stated likewise.
+    """
     store = types()
-    return bytes(store.serialize_cdr(store.types[kind](**fields), kind))
+    _, members = store.fielddefs[kind]
+    # Short messages, as times and points, are stated by position.
+    if not isinstance(stated, Mapping):
+        names = [name for name, _ in members]
+        stated = dict(zip(names, stated, strict=False))
+    values = [_member(form, stated.get(name)) for name, form in members]
+    return store.types[kind](*values)
 
 
-def _header(stamp: tuple[int, int], frame_id: str) -> Any:
-    message_types = types().types
-    time = message_types["builtin_interfaces/msg/Time"](*stamp)
-    return message_types["std_msgs/msg/Header"](stamp=time, frame_id=frame_id)
+def _member(form: Any, value: Any) -> Any:
+    """The value of a member, by its form in a definition of rosbags; None: zeros."""
+    _, detail = form
+    # The name of a type; a base type and its length; or the form of the entries of a list.
+    if isinstance(detail, str):
+        return _zeros(detail) if value is None else message(detail, value)
+    if not isinstance(detail[0], str):
+        _, entry = detail[0]
+        if isinstance(entry, str):
+            return [message(entry, part) for part in value or ()]
+        return np.zeros(0, np.uint8) if value is None else value
+    if value is None:
+        return "" if detail[0] == "string" else 0
+    return value
+
+
+@functools.cache
+def _zeros(kind: str) -> Any:
+    """A message of zeros, which is in many others."""
+    return message(kind)
+
+
+def encoded(kind: str, **stated: Any) -> bytes:
+    """CDR, little endian, of a `message`."""
+    return bytes(types().serialize_cdr(message(kind, stated), kind))
 
 
 def _bytes_of(values: npt.NDArray[np.float32]) -> npt.NDArray[np.uint8]:
+    # Bytes are viewed, not copied, where the values are in this form already.
     return np.ascontiguousarray(values, "<f4").reshape(-1).view(np.uint8)
 
 
@@ -65,7 +91,7 @@ def image(stamp: tuple[int, int], frame_id: str, forces: Floats) -> bytes:
     """A sensor_msgs/Image in 32FC1 of forces (n_rows, n_cols), with its stamp in s and ns."""
     return encoded(
         IMAGE,
-        header=_header(stamp, frame_id),
+        header=(stamp, frame_id),
         height=forces.shape[0],
         width=forces.shape[1],
         encoding="32FC1",
@@ -79,16 +105,17 @@ def cloud(
     stamp: tuple[int, int], frame_id: str, columns: Mapping[str, Floats]
 ) -> bytes:
     """A sensor_msgs/PointCloud2 of `point_columns`."""
-    field = types().types["sensor_msgs/msg/PointField"]
+    number_of = types().types[FIELD]
+    # A point is a record of its columns, four bytes each.
     points = np.stack(list(columns.values()), axis=1)
     n, n_fields = points.shape
     fields = []
     for k, name in enumerate(columns):
-        kind = UINT32 if name == ROW else FLOAT32
-        fields.append(field(name, 4 * k, kind, 1))
+        kind = number_of.UINT32 if name == ROW else number_of.FLOAT32
+        fields.append((name, 4 * k, kind, 1))
     return encoded(
         CLOUD,
-        header=_header(stamp, frame_id),
+        header=(stamp, frame_id),
         height=1,
         width=n,
         fields=fields,
@@ -102,18 +129,12 @@ def cloud(
 
 def array(values: Floats, labels: tuple[str, str] = ("rows", "cols")) -> bytes:
     """A std_msgs/Float32MultiArray of values (n_rows, n_cols), row after row."""
-    message_types = types().types
     n_rows, n_cols = values.shape
     row_label, col_label = labels
-    dimension = message_types["std_msgs/msg/MultiArrayDimension"]
-    sides = [
-        dimension(row_label, n_rows, n_rows * n_cols),
-        dimension(col_label, n_cols, n_cols),
-    ]
-    layout = message_types["std_msgs/msg/MultiArrayLayout"](dim=sides, data_offset=0)
-    return encoded(
-        ARRAY, layout=layout, data=np.ascontiguousarray(values, "<f4").reshape(-1)
-    )
+    # The stride of a dimension counts the numbers within it, itself included.
+    sides = [(row_label, n_rows, n_rows * n_cols), (col_label, n_cols, n_cols)]
+    data = np.ascontiguousarray(values, "<f4").reshape(-1)
+    return encoded(ARRAY, layout=(sides,), data=data)
 
 
 def contact_array(contacts: Contacts) -> bytes:
@@ -127,14 +148,8 @@ def contact_array(contacts: Contacts) -> bytes:
 
 def contact_wrench(stamp: tuple[int, int], contacts: Contacts) -> bytes:
     """A geometry_msgs/WrenchStamped of all contacts together, in the frame of the patch."""
-    message_types = types().types
-    vector = message_types["geometry_msgs/msg/Vector3"]
-    parts = [vector(*part.tolist()) for part in wrench(contacts)]
-    return encoded(
-        WRENCH,
-        header=_header(stamp, contacts.patch),
-        wrench=message_types["geometry_msgs/msg/Wrench"](*parts),
-    )
+    parts = [part.tolist() for part in wrench(contacts)]
+    return encoded(WRENCH, header=(stamp, contacts.patch), wrench=parts)
 
 
 def contact_markers(
@@ -143,70 +158,37 @@ def contact_markers(
     """A visualization_msgs/MarkerArray, which replaces the one before: of each contact a sphere, an
     arrow and a text, in the namespaces of these names, with its id.
     """
-    colour = types().types["std_msgs/msg/ColorRGBA"](*COLOURS[contacts.trusted[0]])
-    marker = _marker_maker(_header(stamp, contacts.patch), colour)
+    # Numbers of the types and actions.
+    number_of = types().types[MARKER]
+    # Markers of one frame differ in shape and place alone.
+    shared = {
+        "header": (stamp, contacts.patch),
+        "color": COLOURS[contacts.trusted[0]],
+        "pose": ((), UPRIGHT),
+    }
 
     # The first one deletes those of the frame before.
-    markers = [marker("", SPHERE, 0, (0.0, 0.0, 0.0), ORIGIN, action=DELETE_ALL)]
+    markers = [shared | {"action": number_of.DELETEALL}]
     for shape in shapes(contacts, skin):
-        number = shape.id
         d = shape.diameter
-        tail = shape.tail
-        tip = shape.centre
-        markers += [
-            marker("sphere", SPHERE, number, (d, d, d / 4), tip),
-            marker(
-                "arrow", ARROW, number, (d / 4, d / 2, 0.0), ORIGIN, ends=(tail, tip)
-            ),
-            marker("text", TEXT, number, (0.0, 0.0, d), tail, text=shape.text),
-        ]
+        sphere = {
+            "ns": "sphere",
+            "type": number_of.SPHERE,
+            "pose": (shape.centre, UPRIGHT),
+            "scale": (d, d, d / 4),
+        }
+        arrow = {
+            "ns": "arrow",
+            "type": number_of.ARROW,
+            "scale": (d / 4, d / 2),
+            "points": (shape.tail, shape.centre),
+        }
+        text = {
+            "ns": "text",
+            "type": number_of.TEXT_VIEW_FACING,
+            "pose": (shape.tail, UPRIGHT),
+            "scale": (0, 0, d),
+            "text": shape.text,
+        }
+        markers += [shared | {"id": shape.id} | it for it in (sphere, arrow, text)]
     return encoded(MARKERS, markers=markers)
-
-
-def _marker_maker(header: Any, colour: Any) -> Callable[..., Any]:
-    """A function that makes markers of one header and colour."""
-    message_types = types().types
-    point = message_types["geometry_msgs/msg/Point"]
-    vector = message_types["geometry_msgs/msg/Vector3"]
-
-    # What all markers share; members that none uses are empty.
-    upright = message_types["geometry_msgs/msg/Quaternion"](0.0, 0.0, 0.0, 1.0)
-    never = message_types["builtin_interfaces/msg/Duration"](0, 0)
-    none = np.zeros(0, np.uint8)
-    texture = message_types["sensor_msgs/msg/CompressedImage"](header, "", none)
-    mesh = message_types["visualization_msgs/msg/MeshFile"]("", none)
-
-    def marker(
-        name: str,
-        kind: int,
-        number: int,
-        scale: tuple[float, float, float],
-        place: Doubles,
-        action: int = ADD,
-        ends: Sequence[Doubles] = (),
-        text: str = "",
-    ) -> Any:
-        pose = message_types["geometry_msgs/msg/Pose"](point(*place.tolist()), upright)
-        return message_types["visualization_msgs/msg/Marker"](
-            header=header,
-            ns=name,
-            id=number,
-            type=kind,
-            action=action,
-            pose=pose,
-            scale=vector(*scale),
-            color=colour,
-            lifetime=never,
-            frame_locked=False,
-            points=[point(*end.tolist()) for end in ends],
-            colors=[],
-            texture_resource="",
-            texture=texture,
-            uv_coordinates=[],
-            text=text,
-            mesh_resource="",
-            mesh_file=mesh,
-            mesh_use_embedded_materials=False,
-        )
-
-    return marker

@@ -46,6 +46,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
         about = cls.HELP[0].upper() + cls.HELP[1:]
         command.description = f"{about}, until it ends or Ctrl-C."
         command.set_defaults(bridge=name)
+        # Bridges that serve clients get their port as an option of its own.
         if "port" in {entry["key"] for entry in cls.Settings.described()}:
             about = "port of 127.0.0.1; 0: a free one"
             command.add_argument("--port", type=whole(0), help=about)
@@ -63,6 +64,7 @@ def _bridge(arguments: argparse.Namespace) -> int:
 
     graph = choose_graph(arguments.graph)
     writers = graph.writers()
+    # By default, all that the graph publishes is shown.
     patches = values.setdefault("patches", patches_of(writers))
     if not patches:
         raise SettingsError(
@@ -78,8 +80,10 @@ def _bridge(arguments: argparse.Namespace) -> int:
     # Those of its topics that this graph publishes.
     read = {*cls.inputs(settings), *cls.optional_inputs(settings)}
     topics = [topic for topic in writers if topic in read]
+    # Two bridges of one kind may run beside one graph.
     name = f"{arguments.bridge}_{os.getpid()}"
     with naming_options({"port": "--port"}):
+        # A port that is taken is reported by the option that states it.
         code, summary = run_beside(graph, arguments.bridge, name, values, topics)
     print_ends(summary["nodes"])
     # A bridge that sent nothing has failed, though it ended well.

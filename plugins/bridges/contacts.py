@@ -56,9 +56,11 @@ def places(contacts: Contacts) -> tuple[Doubles, Doubles]:
     if contacts.place_mm is not None:
         centres = contacts.place_mm / 1e3
     else:
+        # Without a pitch, places are in taxels.
         centres = UNKNOWN_PITCH_M * _in_plane(contacts.centre)
     normals = contacts.normal
     if normals is None:
+        # A flat skin lies in the plane of x and y.
         normals = np.tile(np.array([0, 0, 1], np.float32), (len(centres), 1))
     return centres.astype(np.float64), normals.astype(np.float64)
 
@@ -68,6 +70,7 @@ def wrench(contacts: Contacts) -> tuple[Doubles, Doubles]:
     origin, that times metres; float64 (3,) each.
     """
     centres, normals = places(contacts)
+    # A body presses into the skin, against the outward normal.
     forces = -contacts.total[:, None] * normals
     return forces.sum(axis=0), np.cross(centres, forces).sum(axis=0)
 
@@ -82,10 +85,12 @@ def shapes(contacts: Contacts, skin: SkinState) -> list[Shape]:
         extent = float(np.ptp(skin.points[:, :3], axis=0).max())
         side = skin.pitch_m or extent / math.sqrt(len(skin.points))
 
+    # Arrows are scaled by the skin, so that they fit to it whatever its size is.
     lengths = contacts.total * (extent / (FULL * skin.f_max))
     tails = centres + lengths[:, None] * normals
     drawn = []
     for k, number in enumerate(contacts.id.tolist()):
+        # The area counts taxels of one pitch squared each.
         diameter = side * math.sqrt(contacts.area[k])
         text = f"{number}: {contacts.total[k]:.3g} {skin.unit}"
         drawn.append(Shape(number, centres[k], tails[k], diameter, text))
@@ -95,6 +100,7 @@ def shapes(contacts: Contacts, skin: SkinState) -> list[Shape]:
 def numbers(contacts: Contacts) -> dict[str, Floats]:
     """Columns of a table with a row for each contact, float32 (n,); what is not known is NaN."""
     columns = contacts.columns()
+    # float32 cannot hold a time in nanoseconds.
     del columns["stamp_ns"]
     return {name: values.astype(np.float32) for name, values in columns.items()}
 
@@ -108,6 +114,8 @@ def as_json(contacts: Contacts) -> dict[str, Any]:
     for row in rows:
         # JSON has no NaN, by which numbers that are not known are marked.
         entries.append({name: v for name, v in zip(names, row, strict=True) if v == v})
+
+    # Events name contacts that may have ended, and have no entry.
     events = [{"id": number, "event": event} for number, event in contacts.named_events]
     return {
         "n": contacts.id.size,
@@ -166,6 +174,7 @@ def state(contacts: Contacts, k: int) -> Floats:
     table = np.column_stack(columns)
 
     order = np.argsort(-contacts.total, kind="stable")
+    # A policy reads the same place for the strongest contact in each frame.
     strongest = table[order[:k]].ravel()
     vector = np.zeros(1 + k * len(STATE), np.float32)
     vector[0] = contacts.trusted[0]

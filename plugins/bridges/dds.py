@@ -64,13 +64,16 @@ def message_type(kind: str) -> type[Any]:
     ends of a topic. The bytes of `ready` messages are written as they are, and kept when received.
     """
     package, _, name = kind.split("/")
+    # Members are needed for the type information by which DDS matches both ends.
     members = {member: _member(form) for member, form in cdr.types().fielddefs[kind][1]}
+    # The name of a type in DDS, as the middleware of ROS 2 builds it.
     form = {"typename": f"{package}::msg::dds_::{name}_"}
     body = {"__annotations__": members, "__module__": __name__}
     new = types.new_class(
         name, (IdlStruct,), form, lambda namespace: namespace.update(body)
     )
     message: type[Any] = dataclass(new)
+    # In place of the Python serialiser of cyclonedds, which takes 1 ms for 16 kB.
     message.serialize = lambda self, *_, **__: self.cdr
     message.deserialize = classmethod(
         lambda cls, data, *_, **__: ready(cls, bytes(data))
@@ -80,6 +83,7 @@ def message_type(kind: str) -> type[Any]:
 
 def ready(cls: type[Any], data: bytes) -> Any:
     """A message of a `message_type` of ready made CDR, its encapsulation header included."""
+    # The members stay empty: only the bytes are used.
     message = object.__new__(cls)
     message.cdr = data
     return message
@@ -108,6 +112,7 @@ class Member:
     """A participant in a domain; `where` it listens, in words."""
 
     def __init__(self, domain: int, interface: str, name: str) -> None:
+        # The sockets of this participant are those that come with it.
         sockets_before = _udp_sockets()
         try:
             if interface and _domains.get(domain, ("",))[0] != interface:
@@ -166,10 +171,12 @@ class Member:
         reader: Any = DataReader(self.participant, self._topic(topic, kind), qos=qos)
         self._readers.append(reader.guid)
         waiting = WaitSet(self.participant)
+        # Whatever comes wakes the reader; samples without data are dropped below.
         anything = SampleState.Any | ViewState.Any | InstanceState.Any
         waiting.attach(ReadCondition(reader, anything))
 
         def take(wait_s: float, n: int) -> list[bytes]:
+            # Returns at once where samples wait already.
             waiting.wait(duration(seconds=wait_s))
             # A sample without bytes notes that its writer is gone.
             payloads = (getattr(sample, "cdr", None) for sample in reader.take(N=n))
@@ -179,6 +186,7 @@ class Member:
 
     def publications(self) -> dict[str, tuple[str, bool]]:
         """Type of the messages on each topic, and True if they are sent reliably."""
+        # Each publication is reported once: those found before are kept.
         for publication in self._discovered.take(N=BATCH):
             name = getattr(publication, "topic_name", "")
             type_name = getattr(publication, "type_name", "")
@@ -193,6 +201,7 @@ class Member:
 
     def close(self) -> None:
         """Leave the domain."""
+        # The announcing thread writes by the participant: it ends first.
         self._left.set()
         self._announcing.join()
         del self.participant, self._discovered, self._nodes
@@ -204,26 +213,24 @@ class Member:
         """State the node and its endpoints to nodes of Jazzy and later, each time that these or
         those change. In Humble, whose readers state no hash, that message has another form.
         """
-        types = cdr.types().types
         writer = self._nodes
         announced = None
 
         def gids(guids: list[UUID]) -> list[Any]:
-            gid = types["rmw_dds_common/msg/Gid"]
-            return [gid(np.frombuffer(guid.bytes, np.uint8)) for guid in guids]
+            return [(np.frombuffer(guid.bytes, np.uint8),) for guid in guids]
 
         def are_of_jazzy(readers: Any) -> bool:
             for reader in readers:
                 of_reader = writer.get_matched_subscription_data(reader)
+                # Its hash is that of the form which Jazzy introduced.
                 if of_reader and _hash_of(NODES) in of_reader.qos:
                     return True
             return False
 
         def announcement(reader_guids: list[UUID], writer_guids: list[UUID]) -> Any:
-            node = types["rmw_dds_common/msg/NodeEntitiesInfo"](
-                "/", name, gids(reader_guids), gids(writer_guids)
-            )
+            # A participant is one node here, in the root namespace.
             (gid,) = gids([self.participant.guid])
+            node = ("/", name, gids(reader_guids), gids(writer_guids))
             data = cdr.encoded(NODES, gid=gid, node_entities_info_seq=[node])
             return ready(writer.topic.data_type, data)
 
@@ -242,6 +249,7 @@ def _bind_to_loopback(descriptors: Iterable[int]) -> None:
     interfaces, whichever is stated.
     """
     for fd in descriptors:
+        # A copy of the descriptor is closed here, and the socket stays open.
         with socket.socket(fileno=os.dup(fd)) as copy:
             copy.setsockopt(socket.SOL_SOCKET, socket.SO_BINDTODEVICE, b"lo\0")
 
@@ -265,6 +273,7 @@ def _config(interface: str) -> str:
     """Configuration of a domain. Multicast does not work on the loopback interface of Linux, so
     there participants look for each other by number.
     """
+    # On other interfaces participants find each other by multicast.
     peers = ""
     multicast = "default"
     if interface == "lo":
@@ -283,6 +292,7 @@ def _config(interface: str) -> str:
 
 def _hash_of(kind: str) -> Any:
     """Hash of a type of messages, as nodes of Jazzy and later state it for a writer or reader."""
+    # rosbags computes the hash of every other type as ROS 2 does.
     hash_text = NODES_HASH if kind == NODES else cdr.types().hash_rihs01(kind)
     return Policy.Userdata(f"typehash={hash_text};".encode())
 
@@ -294,6 +304,7 @@ def quality(depth: int, reliable: bool = True) -> Qos:
         reliability = Policy.Reliability.Reliable(duration(milliseconds=BLOCK_MS))
     return Qos(
         reliability,
+        # A slow reader loses the oldest samples, and never blocks the graph for long.
         Policy.History.KeepLast(depth),
         Policy.DataRepresentation(use_cdrv0_representation=True),
     )

@@ -44,8 +44,10 @@ class FoxgloveBridge(Bridge[FoxgloveSettings]):
     def __init__(self, settings: FoxgloveSettings, context: Context) -> None:
         super().__init__(settings, context)
         settings.check()
+        # Optional: only a bridge that runs needs it.
         import foxglove
 
+        # A context of its own keeps its channels apart from those of other servers in this process.
         context_of_bridge = foxglove.Context()
         self._channels = Channels(context_of_bridge)
         try:
@@ -65,6 +67,7 @@ class FoxgloveBridge(Bridge[FoxgloveSettings]):
         self._url = f"ws://{settings.host}:{self._server.port}"
 
     def start(self) -> Iterable[Message]:
+        # Channels exist before the first frame, so that panels can be laid out at once.
         for patch in self.settings.patches:
             for schema in self.settings.maps:
                 topic = topic_of(patch, schema)
@@ -83,6 +86,7 @@ class FoxgloveBridge(Bridge[FoxgloveSettings]):
         return self._url
 
     def send(self, message: Message, skin: SkinState) -> None:
+        # Age of the frame when it is sent: what a viewer cannot compute by itself.
         late_ms = (self.context.clock.now_ns() - message.stamp_ns) / 1e6
         figures = {"seq": message.seq, "latency_ms": late_ms}
         for topic, schema, make in contents(message, skin, figures):
@@ -92,6 +96,7 @@ class FoxgloveBridge(Bridge[FoxgloveSettings]):
                 channel.log(make(), log_time=message.stamp_ns)
 
     def close(self, counts: dict[str, Any]) -> None:
+        # Clients see the topics go before the connection does.
         for channel in self._channels.values():
             channel.close()
         self._server.stop()

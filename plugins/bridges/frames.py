@@ -135,6 +135,7 @@ class MessageReader:
         #: Unit of the times; "" if nothing states it.
         self.time_unit = "ns"
         self._decode = Decoder(definitions, kind).decode
+        # Lists have no single value that could be a time or a name.
         kind_of = {
             member.name: member.kind
             for member in definitions.members(kind)
@@ -143,6 +144,7 @@ class MessageReader:
         self._is_cdr = definitions.ros == 2
         self._begins_with_header = next(iter(kind_of), "") == "header"
         self._has_header = kind_of.get("header") == HEADER
+        # A message without a header may state its time in a member of its own.
         stamps = [name for name in kind_of if kind_of[name] == TIME]
         numbers = [
             name for name in kind_of if kind_of[name] in BASES and is_time_name(name)
@@ -200,6 +202,7 @@ class MessageReader:
     def received(self, numbers: Numbers, message: Message) -> Received:
         """The numbers of a message, and what it states of them."""
         number = ""
+        # Whether it tells skins apart or counts messages shows in several messages: see `Turns`.
         for name in NUMBERED:
             if isinstance(message.get(name), int | str):
                 number = str(message[name])
@@ -243,6 +246,7 @@ def fields_that_fit(message: Message, layout: Layout) -> dict[str, Numbers]:
     """The fields of a message that can be frames, by their path, and their numbers: those of the
     stated shape, where one is stated. Raises SourceError if the message is a malformed frame.
     """
+    # A point cloud has several fields; images and arrays are one frame each.
     if message.kind == CLOUD:
         names = only_channel(fields_of(message, readings=True), layout.channel)
         fields = {name: numbers_at(message, name) for name in names}
@@ -250,6 +254,7 @@ def fields_that_fit(message: Message, layout: Layout) -> dict[str, Numbers]:
         fields = {"": numbers_at(message, "")}
     else:
         fields = paths_of(message, layout.channel)
+    # Where none has the stated number of taxels, all are named in the error.
     n = layout.n_stated
     fitting = {field: fields[field] for field in fields if _fits(fields[field], n)}
     return fitting or fields
@@ -269,6 +274,7 @@ def choose_field(message: Message, layout: Layout, where: str) -> str:
         texts = [f"{printable(name)} {size_text(fitting[name])}" for name in fitting]
         fault = f"{message.kind} holds {len(fitting)} fields of numbers"
         fault = f"{fault}: {', '.join(texts)[:300]}"
+        # An interactive program offers these options instead of the error.
         options = [{"field": field} for field in fitting]
         raise UnstatedError(f"{where}: {fault}; state field", *options)
     return next(iter(fitting))

@@ -48,6 +48,7 @@ class LatestFrames:
         running = choose_graph(graph)
         self._label = running.label
         self._with_contacts = with_contacts
+        # A batch is published under its own name, and split here.
         patch, _, self._part = patch.partition("/")
         schemas = [SkinState.schema, Reconstruction.schema]
         if with_contacts:
@@ -68,7 +69,9 @@ class LatestFrames:
         self._skin: SkinState | None = None
         self._frame: Reconstruction | None = None
         self._held: dict[str, Floats] = {}
+        # Number of the last reconstruction: one that is missing breaks the chain of references.
         self._seq = -1
+        # A daemon: a program that ends without `close` is not kept alive.
         name = f"frames of {self._label}"
         self._thread = Thread(target=self._read, name=name, daemon=True)
         self._thread.start()
@@ -78,6 +81,7 @@ class LatestFrames:
         come in time. Raises GraphError once the graph has ended.
         """
         with self._news:
+            # The end of the graph wakes a waiting program, too.
             is_due = self._news.wait_for(
                 lambda: self._why_ended or self._number > after, timeout_s
             )
@@ -103,6 +107,7 @@ class LatestFrames:
         except GraphError as error:
             why = str(error)
         finally:
+            # Whatever ended the reading, `newest` must not wait for ever.
             self._stream.close()
             with self._news:
                 self._why_ended = why
@@ -121,6 +126,7 @@ class LatestFrames:
             if not self._with_contacts:
                 self._publish(None)
         elif isinstance(message, Contacts):
+            # Contacts follow their frame: both are published together.
             self._publish(self._part_of(message.split()))
 
     def _check_part(self, message: Reconstruction) -> None:

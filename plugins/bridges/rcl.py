@@ -33,8 +33,10 @@ class Member:
             os.environ["ROS_LOCALHOST_ONLY"] = "1"
         elif interface:
             os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
+        # A context of its own: the process may use rclpy for other nodes.
         self._context = Context()
         rclpy.init(args=[], context=self._context, domain_id=domain)
+        # Arguments and parameters of the user's launch file are not for this node.
         options = dict.fromkeys(
             ("use_global_arguments", "enable_rosout", "start_parameter_services"), False
         )
@@ -43,6 +45,7 @@ class Member:
         self._node = rclpy.create_node(
             name, context=self._context, parameter_overrides=[unserved], **options
         )
+        # Callbacks run in `take` alone, so that no lock is needed.
         self._executor = SingleThreadedExecutor(context=self._context)
         self._executor.add_node(self._node)
         self.where = f"ROS domain {domain} by {interface or 'the interfaces of rclpy'}"
@@ -62,6 +65,7 @@ class Member:
     def reader(self, topic: str, kind: str, depth: int, reliable: bool) -> Reader:
         """A reader of these messages."""
         waiting = deque[bytes](maxlen=depth)
+        # The status counts all that were lost so far: the last one is enough.
         lost = deque[Any](maxlen=1)
 
         # rclpy asks for the signatures of both, which methods of a deque do not have.
@@ -77,10 +81,12 @@ class Member:
             arrived,
             _quality(depth, reliable),
             event_callbacks=SubscriptionEventCallbacks(message_lost=were_lost),
+            # Messages stay in CDR, which the decoder here reads.
             raw=True,
         )
 
         def take(wait_s: float, n: int) -> list[bytes]:
+            # Each call of spin_once runs one callback, or none where nothing has come.
             n_before = -1
             while n_before < len(waiting) < n:
                 n_before = len(waiting)

@@ -116,10 +116,12 @@ class RosRecording(Recording):
         self._name = file.name
         if file.parts:
             self._name = str(Path(file.name).parent)
+        # A bag of ROS 2 may be split into files that follow each other.
         paths = (file.name, *file.parts)
         self._work = workspace_of(paths)
         self._metadata = _metadata(paths)
         self._n_bytes = sum(Path(path).stat().st_size for path in paths)
+        # What is not plain is decompressed once, whoever opens the recording how often.
         self._storages = [open_storage(path, self._work) for path in paths]
         self._is_closed = all(storage.is_closed for storage in self._storages)
         self._stream: Stream | None = None
@@ -175,6 +177,7 @@ class RosRecording(Recording):
         layout = self._layout
         topics = self._topics()
         if layout.topic:
+            # A wrong name is answered with the topics and types that there are.
             kinds = {topic: described.kind for topic, described in topics.items()}
             choose(kinds, layout.topic, self._name, "topics")
             likely = [layout.topic]
@@ -182,9 +185,11 @@ class RosRecording(Recording):
             likely = self._likely(topics)
 
         firsts = self._firsts({topic: topics[topic] for topic in likely})
+        # Each field of each topic that could be meant.
         choices: list[tuple[str, str]] = []
         for topic, of_topic in firsts.items():
             choices += [(topic, field) for field in of_topic.fields]
+        # Never guessed: a wrong topic would be a wrong force.
         if len(choices) > 1:
             raise self._unstated(firsts, choices)
         topic, field = choices[0]
@@ -196,6 +201,7 @@ class RosRecording(Recording):
             notes.append(f"field {field}")
 
         received = of_topic.received._replace(numbers=of_topic.fields[field])
+        # Drivers without a clock leave the stamps of their headers at zero.
         uses_log = layout.time == LOG or received.time is None
         if uses_log and reader.time_path == STAMP:
             notes.append("its headers have no stamps: times of the recording")
@@ -207,6 +213,7 @@ class RosRecording(Recording):
         topics: dict[str, Topic] = {}
         for storage in self._storages:
             for topic, described in storage.topics().items():
+                # Files of one bag describe the same topics: the first description is taken.
                 topics.setdefault(topic, described)
         return topics
 
@@ -330,6 +337,7 @@ class RosRecording(Recording):
         """Raise UnstatedError if a message is of another frame than the first one, or of another
         skin, whose messages take turns.
         """
+        # The frame is compared with the first; a number is noticed by its turns.
         is_of_frame = received.frame_id == stream.first.frame_id
         if is_of_frame and not turns.add(received.number):
             return
@@ -356,6 +364,7 @@ class RosRecording(Recording):
         """All messages of some topics; SourceError once they are larger than any recording of that
         size is.
         """
+        # A forged file may decompress without end.
         room_bytes = max(MAX_GROWN_BYTES, MAX_GROWTH * self._n_bytes)
         for storage in self._storages:
             try:
@@ -372,6 +381,7 @@ class RosRecording(Recording):
 
     def _account(self, topic: str) -> None:
         """Name the messages that the file does not hold, as far as their number is known."""
+        # Not every recording has a metadata.yaml that counts its messages.
         n_stated = None
         if self._metadata:
             n_stated = self._metadata.counts.get(topic)
@@ -472,10 +482,12 @@ def open_storage(path: str, work: Workspace) -> Storage:
     with reading(path) as file:
         begin = file.read(len(SQLITE_MAGIC))
     if begin == SQLITE_MAGIC:
+        # What a killed recorder left in the log of SQLite is read, too.
         complete = with_log(path, work)
         if complete != path:
             return Db3Storage(complete, path, has_log=True)
         return Db3Storage(of_whole_pages(path, work), path)
+    # The form is seen behind the compression, whatever the name ends in.
     plain = decompressed(path, work)
     with reading(plain) as file:
         begin = file.read(len(SQLITE_MAGIC))
@@ -499,6 +511,7 @@ def in_order(messages: Iterator[Recorded]) -> Iterator[Recorded]:
     waiting: list[tuple[int, int, Recorded]] = []
     n_bytes = 0
     for number, message in enumerate(messages):
+        # The number keeps messages of one time in their order.
         heapq.heappush(waiting, (message.log_ns, number, message))
         n_bytes += len(message.data)
         while len(waiting) > WINDOW or n_bytes > WINDOW_BYTES:

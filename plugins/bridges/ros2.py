@@ -13,7 +13,7 @@ from sparseskin.nodes.settings import setting
 from . import cdr, topics
 from .base import Bridge, BridgeSettings, Map, check_words, point_columns
 
-Form = tuple[str, str, Callable[[Any, SkinState], bytes]]
+Form = tuple[str, str, Callable[[Any, Any], bytes]]
 OF_MAPS: dict[str, Form] = {
     "image": ("", cdr.IMAGE, lambda m, _: cdr.image(_time(m), m.patch, m.forces[0])),
     "points": ("/points", cdr.CLOUD, lambda m, skin: _cloud(m, skin)),
@@ -81,9 +81,11 @@ class Ros2Bridge(Bridge[Ros2Settings]):
         self._announced: set[str] = set()
 
     def start(self) -> Iterable[Message]:
+        # Tools list the topics as soon as the bridge is there.
         for patch in self.settings.patches:
             self._announce(patch)
         self.context.log(f"ros2: {self.where()}")
+        # DDS has no access control: whoever hears it may read and write.
         if not self.where().endswith(" by lo"):
             self.context.log("ros2: whoever reaches that network can read the graph")
         return ()
@@ -109,6 +111,7 @@ class Ros2Bridge(Bridge[Ros2Settings]):
             self._announce(message.patch)
         forms = OF_CONTACTS if isinstance(message, Contacts) else OF_MAPS
         for kind, (_, _, make) in forms.items():
+            # Kinds that the settings leave out have no writer.
             writer = self._writers.get(f"{kind} {message.topic}")
             # A message that nobody reads is not made.
             if writer is not None and writer.readers():

@@ -23,8 +23,7 @@ from sparseskin.plugins.boards.settings import split_source, typed
 
 from . import topics
 from .frames import MessageReader, Received, Turns, choose_field
-from .messages import installed
-from .messages.definitions import Definitions
+from .messages.definitions import Definitions, learn
 
 WAIT_S = 0.1
 HISTORY = 1000
@@ -93,7 +92,7 @@ class TopicFrames:
         self.why = "none"
         self._source = source
         self._layout = layout
-        installed.learn(kind)
+        learn(kind)
         self._reader = MessageReader(Definitions(), kind, layout)
         self._is_chosen = bool(layout.field)
         self._arrangement: Arrangement | None = None
@@ -106,6 +105,7 @@ class TopicFrames:
         shape or the frame_id of the messages has to be stated.
         """
         try:
+            # The field is chosen by the first message that holds any.
             if not self._is_chosen:
                 self._reader.field = self._chosen_field(data)
                 self._is_chosen = True
@@ -138,6 +138,7 @@ class TopicFrames:
             return None
 
         stamp_ns = self._stamp_ns(received)
+        # A stamp that is far behind is that of a publisher which was started again.
         if self._last_ns - RESTART_NS < stamp_ns <= self._last_ns:
             self._refuse("a stamp that is not after the one before it")
             return None
@@ -179,10 +180,12 @@ def frames(
         print(f"{source}: {member.where}", file=sys.stderr, flush=True)
         kind, reliable = _publication(member, topic, query.timeout_s)
         read = TopicFrames(source, kind, layout)
+        # A reader that asks for more than the writer offers is never matched with it.
         reader = member.reader(topic, kind, HISTORY, reliable)
         n_logged = 0
         heard_s = time.monotonic()
         while True:
+            # Short waits: a command or a signal ends the source in between.
             messages = reader.take(WAIT_S, BATCH)
             if messages:
                 heard_s = time.monotonic()
@@ -212,6 +215,7 @@ def _publication(member: Any, topic: str, timeout_s: float) -> tuple[str, bool]:
     deadline_s = time.monotonic() + timeout_s
     published: dict[str, tuple[str, bool]] = {}
     while time.monotonic() < deadline_s:
+        # Discovery takes some time after a participant has joined.
         published = member.publications()
         if topic in published:
             return published[topic]

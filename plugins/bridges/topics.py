@@ -32,10 +32,12 @@ def join(domain: int | None, interface: str | None, name: str) -> Any:
 
     Raises SettingsError if that cannot be done.
     """
+    # Not stated: that of the other nodes of ROS 2 in this terminal.
     if domain is None:
         domain = ros_domain()
     if interface is None:
         interface = ros_interface()
+    # ROS 2 allows letters, digits and underscores in the name of a node.
     name = re.sub(r"\W", "_", f"sparseskin_{name}", flags=re.ASCII)
     why = _why_no_rclpy()
     if not why:
@@ -62,6 +64,7 @@ def _why_no_rclpy() -> str:
 def ros_domain() -> int:
     """Domain of ROS_DOMAIN_ID, 0 where it is not set."""
     text = os.environ.get("ROS_DOMAIN_ID") or "0"
+    # `isdecimal` alone accepts digits of other scripts.
     if not (text.isascii() and text.isdecimal() and int(text[:4]) <= MAX_DOMAIN):
         raise SettingsError(f"ROS_DOMAIN_ID: {text[:40]!r} is outside 0..{MAX_DOMAIN}")
     return int(text)
@@ -71,6 +74,7 @@ def ros_interface() -> str:
     """Interface of the range in which nodes of ROS 2 find each other, SUBNET where none is set.
     Source: docs.ros.org, "Improved Dynamic Discovery".
     """
+    # The older variable, of Humble, goes first, as in ROS 2 itself.
     if os.environ.get("ROS_LOCALHOST_ONLY") == "1":
         return RANGES["LOCALHOST"]
     discovery_range = os.environ.get("ROS_AUTOMATIC_DISCOVERY_RANGE") or "SUBNET"

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -74,8 +75,8 @@ class Quadtree:
         self.levels: list[Level] = []
         self.n_nodes = 0
         sizes_below = [self.n, *(len(level.parts) for level in squares)]
-        for n_below, square in reversed([*zip(sizes_below, squares, strict=False)]):
-            parts, taxels = square
+        pairs = [*zip(sizes_below, squares, strict=False)]
+        for n_below, (parts, taxels) in reversed(pairs):
             weights, details = _orthonormal(taxels)
             # The place behind the last one stands for quarters that do not exist.
             places = np.where(parts >= 0, parts, n_below)
@@ -158,7 +159,7 @@ class Quadtree:
         """
         # A node is marked if it or a smaller one within it is chosen.
         marked = chosen.copy()
-        for upper, lower in zip(self.levels[-2::-1], self.levels[:0:-1], strict=True):
+        for lower, upper in pairwise(reversed(self.levels)):
             below = marked[lower.first : lower.first + lower.size]
             # Quarters that do not exist are not marked.
             in_quarters = np.append(below, False)[upper.parts].any(axis=1)
@@ -168,7 +169,8 @@ class Quadtree:
         for level, visited in self._visits(marked):
             bits.append(marked[visited])
             if level is not self.levels[-1]:
-                bits.append(chosen[visited[marked[visited]]])
+                inside = visited[marked[visited]]
+                bits.append(chosen[inside])
         if not bits:
             return np.zeros(1, dtype=np.uint8)
         return np.packbits(np.concatenate(bits))

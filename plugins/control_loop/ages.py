@@ -46,6 +46,7 @@ def echo() -> Generator[float]:
     with subprocess.Popen(words, stdout=subprocess.PIPE, text=True) as process:
         try:
             assert process.stdout is not None
+            # The age includes the parsing of the line, as a user's program has it.
             for line in process.stdout:
                 yield (clock.now_ns() - json.loads(line)["stamp_ns"]) / 1e9
         finally:
@@ -62,6 +63,7 @@ def ros2() -> Generator[float]:
         reader = member.reader(f"{CONTACTS}/wrench", WRENCH, 1, reliable=True)
         while True:
             for data in reader.take(0.1, 1):
+                # Only the stamp is read: the rest would cost what a program need not do.
                 seconds, nanoseconds = _STAMP.unpack_from(data)
                 yield (clock.now_ns() - seconds * 1_000_000_000 - nanoseconds) / 1e9
 

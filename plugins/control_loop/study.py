@@ -64,12 +64,14 @@ def run(out: Path, quick: bool, seed: int, executor: str) -> list[str]:
     n_messages = QUICK_MESSAGES if quick else N_MESSAGES
     rows = []
     with ExitStack() as stack:
+        # Programs, logs and the runtime folder go with it.
         temporary = tempfile.TemporaryDirectory(prefix="sparseskin-loop-")
         folder = Path(stack.enter_context(temporary))
         graph = stack.enter_context(running(folder))
         commands, absent = ways(folder, graph, n_messages)
         if "ros2" in commands:
             stack.enter_context(bridge(folder))
+        # The ways alternate, so that a slow minute of the host is in all of them.
         for number in range(n_rounds):
             for way, words in commands.items():
                 # Nothing else runs beside a loop that has the skin in its own process.
@@ -102,6 +104,7 @@ def run(out: Path, quick: bool, seed: int, executor: str) -> list[str]:
 @contextmanager
 def running(folder: Path) -> Iterator[RunningGraph]:
     """A graph of the study, in a runtime folder of its own."""
+    # A runtime folder of its own: no other graph is measured, or stopped.
     (folder / "loop.toml").write_text(GRAPH)
     folder_before = os.environ.get("SPARSESKIN_RUNTIME_DIR")
     os.environ["SPARSESKIN_RUNTIME_DIR"] = str(folder / "graphs")
@@ -153,6 +156,7 @@ def ways(
     commands: dict[str, list[str]] = {}
     absent: list[str] = []
     for way in WAYS:
+        # The program in C++ is compiled here, and reads the socket of the node itself.
         if way == "cpp":
             program, why = compiled(folder)
             endpoint = graph.nodes[graph.writers()[CONTACTS]].endpoint
@@ -209,6 +213,7 @@ def summary(rows: pd.DataFrame) -> pd.DataFrame:
         if way not in p50s.index:
             continue
         ages_ms = rows.loc[rows["way"] == way, "age_ms"]
+        # Ratios of one round: both ran on the same host at about the same time.
         ratio = float(np.mean(p50s.loc[way] / p50s.loc[COMPARED]))
         p50, p99 = np.quantile(ages_ms, [0.5, 0.99])
         figures = {"p50, ms": float(p50), "p99, ms": float(p99), "p50 to echo": ratio}

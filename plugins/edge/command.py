@@ -68,6 +68,7 @@ def _export(arguments: argparse.Namespace) -> int:
     from sparseskin.plugins.edge.description import EdgeDescription
     from sparseskin.plugins.edge.export import export
 
+    # Both state the number of measurements, and may contradict each other.
     if arguments.m is not None and arguments.ratio is not None:
         raise SettingsError("--m: states the number of measurements; leave out --ratio")
     mask: Any = None

@@ -7,7 +7,6 @@ edge in Python: the bytes that its program sends, by the compressor's own Phi.
 from __future__ import annotations
 
 import struct
-import tomllib
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
@@ -39,11 +38,14 @@ from sparseskin.nodes.compressor.quantiser import quantised
 from sparseskin.nodes.errors import SettingsError, SparseskinError
 from sparseskin.nodes.numerics.arrays import Mask
 from sparseskin.nodes.settings import Settings, setting
+from sparseskin.nodes.toml import parse_toml
 from sparseskin.plugins.boards.framing import Framing
 
 FILE_VERSION = 1
 MAX_CELLS = 1 << 16
 """Largest number of cells of a frame: they are numbered in 16 bits."""
+MAX_CHARS = 16 * MAX_CELLS
+"""Longest `edge.toml`: a mask of one column has nine characters a cell."""
 MAX_BLOCK = 256
 """Largest Hadamard block: 256 readings of 16 bits add up to less than 2^24, so that float32 holds
 all sums exactly."""
@@ -95,6 +97,7 @@ class EdgeDescription(Settings):
             raise SettingsError(
                 f"m: {self.m} is not allowed; allowed: 1..{self.n_taxels}"
             )
+        # Rotating rows need as many taxels as subsets of m rows use.
         if self.rows == ROTATING:
             check_subsets(self.n_taxels, self.m)
 
@@ -127,7 +130,9 @@ class EdgeDescription(Settings):
         """
         texts = None
         if mask is not None:
+            # As the file states a mask: a text a row.
             texts = tuple("".join(row) for row in np.where(mask, "1", "0"))
+        # The number of measurements depends on that of the taxels, which the mask decides.
         description = cls(n_rows, n_cols, m=1, mask=texts, **values)
         settings = CompressorSettings(phi="sbhe", ratio=ratio, m=m, rows=rows)
         resolved, n_measurements = settings.rows_and_m(description.n_taxels)
@@ -183,6 +188,7 @@ class EdgeDescription(Settings):
     def subsets(self) -> list[SbhePhi]:
         """The matrix of each row subset."""
         phi = SbhePhi(self.n_taxels, self.m, self.seed, self.block, self.rule)
+        # Fixed rows are one subset.
         phis = row_subsets(phi, self.rows)
         return [subset for subset in phis if isinstance(subset, SbhePhi)]
 
@@ -221,7 +227,8 @@ class EdgeDescription(Settings):
         keys or values that are not allowed, or its seed gives another matrix here.
         """
         try:
-            values = tomllib.loads(path.read_text(encoding="utf-8"))
+            with path.open(encoding="utf-8") as file:
+                values = parse_toml(file.read(MAX_CHARS + 1), MAX_CHARS)
         except OSError as error:
             raise SettingsError(f"{path}: cannot be read: {error.strerror}") from error
         except ValueError as error:
@@ -244,6 +251,7 @@ class EdgeDescription(Settings):
             if field.name not in {*values, "mask"}:
                 raise SettingsError(f"{field.name}: is missing")
         fingerprint_here = description.phi.fingerprint
+        # A matrix that differs by one row would give wrong forces without a sign of it.
         if fingerprint_here != fingerprint:
             seed = description.seed
             raise SettingsError(
@@ -276,6 +284,7 @@ class EdgeFrame(NamedTuple):
 
     def measurements(self, bits: int, unit: float) -> Quantised:
         """Return the measurements; `unit` is the force of one count."""
+        # Codes are in counts; the step turns them into forces.
         return Quantised.of(self.codes, bits, self.step * unit)
 
 
@@ -294,6 +303,7 @@ def frame_bytes(
     """The bytes that the edge sends for frame `seq`, modulo 65536, of the matrix with fingerprint
     `phi`; `y`: measurements (m,) in counts, of `description.bits` bits.
     """
+    # Eight digits of the fingerprint name the matrix in four bytes.
     head = _HEAD.pack(VERSION, int(phi[:8], 16), y.step)
     payload = head + packed(y.codes(), description.bits)
     return framing_of(description).encode(payload, seq)
@@ -313,6 +323,7 @@ def compressed(
     for seq, counts in enumerate(frames):
         phi = subsets[seq % len(subsets)]
         of_taxels = counts.reshape(-1)[description.cells]
+        # As the program does: a converter has no more bits.
         readings = np.minimum(of_taxels, description.full_scale)
         y = quantised(phi.forward(readings.astype(np.float32)), description.bits)
         yield frame_bytes(description, seq, phi.fingerprint, y)

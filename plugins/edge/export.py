@@ -31,6 +31,7 @@ def export(description: EdgeDescription, out: Path) -> None:
     """Write the program of an edge into a new folder. Raises OutputError if the folder exists or
     cannot be written; SettingsError if two row subsets have the same short fingerprint.
     """
+    # All texts are made before the folder: what raises leaves no half of a program.
     texts = {
         DESCRIPTION: description.to_toml(),
         "README.md": readme(description),
@@ -53,6 +54,7 @@ def export(description: EdgeDescription, out: Path) -> None:
 def config(description: EdgeDescription) -> str:
     """Text of `edge_config.h`: sizes and types."""
     d = description
+    # The program has no floating point: the step is written by its bits.
     step_of_zeros = int(np.float32(SMALLEST / largest_code(d.bits)).view(np.uint32))
     attributes = (
         *("n_rows", "n_cols", "n_cells", "n_taxels"),
@@ -105,7 +107,9 @@ def tables(description: EdgeDescription) -> str:
 
 def vectors(description: EdgeDescription) -> str:
     """Text of `edge_vectors.h`: the hash of each test frame's bytes."""
+    # Every row subset is used, and the first three frames are special ones.
     n_vectors = len(description.subsets) + 6
+    # The program makes the same frames on the board, and compares hashes alone.
     frames = (check_counts(description, k) for k in range(n_vectors))
     hashes = [fnv1a(frame) for frame in compressed(description, frames)]
     values = _array(f"0x{value:08x}u" for value in hashes)
@@ -142,6 +146,7 @@ def _filled(name: str, **values: object) -> str:
 
 def _groups(description: EdgeDescription) -> list[tuple[int, int]]:
     """Sizes of the Hadamard blocks in their order, and how many there are of each."""
+    # Equal sizes follow each other: a size and its number are a group.
     sizes = block_sizes(description.n_taxels, description.block)
     return [(size, sizes.count(size)) for size in dict.fromkeys(sizes)]
 

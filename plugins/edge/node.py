@@ -44,6 +44,7 @@ def describe_wire(source: str, description: EdgeDescription, skin: Skin) -> Boar
         raise SourceError(f'"{source}": expected serial:DEVICE or udp:PORT{hint}')
     name = f"{kind}:{address}"
     with naming_board(name):
+        # Frames of an edge have one form, so that only the port can be stated.
         for key in query:
             if key not in KEYS[kind]:
                 raise SourceError(f"{key}: unknown key{did_you_mean(key, KEYS[kind])}")
@@ -98,6 +99,7 @@ class EdgeSettings(PatchSettings):
 
     def check(self) -> None:
         with naming("description"):
+            # Read here, so that a wrong file is reported before any process starts.
             described = EdgeDescription.read(Path(self.description))
         with naming("source"):
             describe_wire(self.source, described, self.skin(described))
@@ -125,6 +127,7 @@ class Edge(SourceNode[EdgeSettings]):
         super().__init__(settings, context)
         self._described = EdgeDescription.read(Path(settings.description))
         self.skin = settings.skin(self._described)
+        # Force of one count: full scale is the largest count.
         self._of_count = self.skin.f_max / self._described.full_scale
         self._n_frames = 0
         self._n_other = 0
@@ -143,6 +146,7 @@ class Edge(SourceNode[EdgeSettings]):
     def facts(cls, settings: EdgeSettings) -> Mapping[str, Any]:
         described = EdgeDescription.read(Path(settings.description))
         skin, phi, measurements = cls.outputs(settings)
+        # Known from the file, before the first frame.
         rows_and_m = (described.rows, described.m)
         return {
             skin: described.n_taxels,
@@ -153,6 +157,7 @@ class Edge(SourceNode[EdgeSettings]):
     def start(self) -> Iterable[Message]:
         d = self._described
         s = self.settings
+        # Both states are of the moment at which the node starts.
         stamp_ns = self.context.clock.now_ns()
         yield SkinState(
             stamp_ns=stamp_ns,
@@ -212,6 +217,7 @@ class Edge(SourceNode[EdgeSettings]):
         )
 
     def idle(self) -> None:
+        # Frames that come while it is paused are dropped, and counted as unused.
         if self.paused:
             self._wire.discard()
         self._log_lines()
@@ -245,6 +251,7 @@ class Edge(SourceNode[EdgeSettings]):
         if self._n_other <= 2 * self._n_logged:
             return
         self._n_logged = self._n_other
+        # Both are named, so that a person sees which of the two is old.
         described = ", ".join(f"{tag:08x}" for tag in self._described.tags)
         self.context.log(
             f"{self._wire.name}: {self._n_other} frames of another matrix (the last "

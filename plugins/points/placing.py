@@ -394,10 +394,13 @@ def _matched(wanted: Doubles, rounded: Indices, window: int) -> Indices | None:
     # Cells are numbered in the rectangle around all windows.
     low = cells.min(axis=(0, 1))
     width = int(np.ptp(cells[..., 1])) + 1
-    flat = (cells[..., 0] - low[0]) * width + cells[..., 1] - low[1]
-    cells_in_reach, numbers = np.unique(flat, return_inverse=True)
-    k = flat.shape[1]
-    row_begins = np.arange(0, n * k + 1, k)
+    rows_in, cols_in = np.moveaxis(cells - low, -1, 0)
+    number_of_cell = rows_in * width + cols_in
+    cells_in_reach, numbers = np.unique(number_of_cell, return_inverse=True)
+
+    # A row of the sparse matrix for each point, with the costs of the cells in its window.
+    n_cells = len(offsets) ** 2
+    row_begins = np.arange(0, n * n_cells + 1, n_cells)
     entries = (cost.ravel(), numbers.ravel(), row_begins)
     graph = csr_matrix(entries, (n, len(cells_in_reach)))
     try:

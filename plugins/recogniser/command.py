@@ -55,6 +55,7 @@ def _train(arguments: argparse.Namespace) -> int:
     with whole_file(arguments.out) as draft:
         model, share = training.train(examples, arguments.reads, phi)
         joblib.dump(model, draft)
+        # A model that others can write would be refused: it is code.
         draft.chmod(0o600)
 
     counts = []

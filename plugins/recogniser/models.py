@@ -47,11 +47,13 @@ def check_name(name: str) -> None:
         return
 
     try:
+        # The owner is looked at before the file is opened: to read it is to run it.
         state = os.stat(name)
     except OSError as error:
         raise SettingsError(f"{name}: {error.strerror}") from error
     if not stat.S_ISREG(state.st_mode):
         raise SettingsError(f"{name}: is no file")
+    # Root may write any file anyway, so that its own are no further risk.
     if state.st_uid not in (os.getuid(), 0) or state.st_mode & OTHERS_WRITE:
         raise SettingsError(
             f"{name}: others can write it, and a joblib file is code: chmod go-w if it is yours"
@@ -80,6 +82,7 @@ def load_model(name: str) -> Model:
         raise SettingsError(
             f"{name}: {kind} has no predict_proba and classes_, as models have"
         )
+    # Labels are printed on terminals and pages of others.
     labels = [str(label) for label in np.asarray(model.classes_).ravel()]
     for label in labels:
         if not label.isprintable() or len(label) > MAX_LABEL:

@@ -68,6 +68,7 @@ class Recogniser(Node[RecogniserSettings]):
                 f"reads: the model was trained on {trained_on}, state that"
             )
         self._labels = [str(label) for label in self._model.classes_]
+        # A user's own class need not state what it was trained on.
         self._n_inputs: int | None = getattr(self._model, "n_features_in_", None)
         self._phi: str = getattr(self._model, "phi", "")
         self._label = ""
@@ -77,6 +78,7 @@ class Recogniser(Node[RecogniserSettings]):
 
     @property
     def depth(self) -> int:
+        # Played faster than live, every frame is labelled; 0 stands for no limit.
         return NEWEST if self.context.live else 0
 
     @classmethod
@@ -93,6 +95,7 @@ class Recogniser(Node[RecogniserSettings]):
     def step(self, message: Message) -> Iterable[Message]:
         """Label one frame. Raises RefusedError if the model is not of its numbers."""
         if isinstance(message, PhiState):
+            # Refused at once: each frame would mean something else.
             if message.rows == ROTATING:
                 raise SettingsError(
                     "rows of the compressor rotate, so that measurements mean something else in "
@@ -127,6 +130,7 @@ class Recogniser(Node[RecogniserSettings]):
             raise RefusedError(
                 f"{message.topic}: holds several patches; a recogniser reads one"
             )
+        # Measurements of another matrix are as many numbers, and would be labelled without a sign.
         if self._phi and message.phi != self._phi:
             raise RefusedError(
                 f"{message.topic}: made by Phi {message.phi}, but the model was trained on "
@@ -144,6 +148,7 @@ class Recogniser(Node[RecogniserSettings]):
 
     def _recognised(self, values: Floats) -> tuple[str, float]:
         """Label and its share; no label where all numbers are 0, or the share is too small."""
+        # An untouched skin has no label, whatever the model would answer.
         if not values.any():
             return "", 0.0
         try:
@@ -152,6 +157,7 @@ class Recogniser(Node[RecogniserSettings]):
             raise RefusedError(
                 f"model {self.settings.model}: {one_line(error)}"
             ) from error
+        # A model of the user's may return anything.
         if shares.shape != (len(self._labels),) or not np.isfinite(shares).all():
             raise RefusedError(
                 f"model {self.settings.model}: expected {len(self._labels)} finite shares"

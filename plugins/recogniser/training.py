@@ -112,6 +112,7 @@ def examples(paths: Sequence[str], spans: Sequence[Span], reads: str) -> Example
     stated_names: set[str] = set()
     for path in paths:
         frames, seconds = _frames(path, reads)
+        # The table may name a recording by its path, its file or its name.
         names = {path, os.path.basename(path), Path(path).stem}
         stated_names |= names
         rows = [k for k, span in enumerate(spans) if span.recording in names]
@@ -128,6 +129,7 @@ def examples(paths: Sequence[str], spans: Sequence[Span], reads: str) -> Example
             inputs.append(frames[is_in_span])
             labels += [span.label] * n_frames
             numbers += [k] * n_frames
+        # Of another skin, or of another number of measurements.
         if inputs[0].shape[1] != frames.shape[1]:
             counts = f"{frames.shape[1]} numbers a frame, but {inputs[0].shape[1]} in {paths[0]}"
             raise SparseskinError(f"{path}: {counts}")

@@ -175,6 +175,7 @@ def _constant(
     model: Any, path: str, numeric: str, default: float, bounds: tuple[float, float]
 ) -> float:
     """The number of a numeric of the model, or the default where it has none of this name."""
+    # MuJoCo raises KeyError with all names where there is none of this one.
     numerics = [model.numeric(i).name for i in range(model.nnumeric)]
     if numeric not in numerics:
         return default
@@ -195,6 +196,7 @@ def touching_geoms(model: Any, pad: Pad, path: str) -> Any:
     its parent (which MuJoCo does not let collide either). SourceError if there is none.
     """
     weld = int(model.body_weldid[pad.body])
+    # The world is 0: it has no parent of its own.
     parent = 0
     if weld:
         parent = int(model.body_weldid[model.body_parentid[weld]])

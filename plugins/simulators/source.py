@@ -86,6 +86,7 @@ class MujocoSource(Source):
         import mujoco
 
         model = self.model
+        # Every iteration begins with the same state, and yields the same forces.
         data = self._reset()
         touch = Touch(model, data, self.pad, self.path)
         self.touch = touch
@@ -154,6 +155,7 @@ def _schedule(model: Any) -> Doubles | None:
 
 def _follow(model: Any, data: Any, times: Doubles) -> None:
     """Set controls and mocap poses between two keyframes."""
+    # Before the first keyframe and behind the last one, the pose of that one is kept.
     k = np.searchsorted(times, data.time, side="right")
     following = int(np.clip(k, 1, len(times) - 1))
     preceding = following - 1

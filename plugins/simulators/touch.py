@@ -108,6 +108,7 @@ class Touch:
 
     def _apply(self, body: int, total: float, moment: Doubles, normal: Doubles) -> None:
         """Apply forces along the normal; `moment` is the sum of force times place."""
+        # MuJoCo applies a wrench at the centre of mass of a body.
         torque = _cross(moment - total * self._data.xipos[body], normal)
         wrench = np.concatenate([total * normal, torque])
         self._applied[body] = self._applied.get(body, np.zeros(6)) + wrench
@@ -241,6 +242,7 @@ class Touch:
 
     def _speeds(self, body: int, points: Doubles, normal: Doubles) -> Doubles:
         """Velocity of the material points of a body along the normal, in m/s, shape (n,)."""
+        # Rotation first, then the velocity at the centre of mass of the whole tree.
         rates = self._data.cvel[body]
         centre = self._data.subtree_com[self._model.body_rootid[body]]
         across = _cross(normal, rates[:3])

@@ -27,6 +27,7 @@ class Db3Storage(Storage):
 
     def read_index(self) -> None:
         with self._opened() as base:
+            # Recorders before Iron write no definitions.
             texts = self._definitions(base)
             rows = base.execute(
                 "SELECT id, name, type, serialization_format FROM topics"
@@ -42,6 +43,7 @@ class Db3Storage(Storage):
         self.losses.clear()
         if not self.connections:
             self.read_index()
+        # Names are no part of the query: they come from the file.
         numbers = [
             number for number, (name, _) in self.connections.items() if name in topics
         ]
@@ -60,6 +62,7 @@ class Db3Storage(Storage):
                     name, described = self.connections[number]
                     if not isinstance(log_ns, int):
                         raise SourceError(f"{self.name}: a message has no time")
+                    # SQLite stores any type in any column; other types are no message.
                     payload = data if isinstance(data, bytes) else b""
                     yield Recorded(name, described.kind, log_ns, payload)
             except sqlite3.DatabaseError as error:
@@ -88,6 +91,7 @@ class Db3Storage(Storage):
         where = f"{Path(self.path).resolve().as_uri()}?{mode}"
         try:
             with closing(sqlite3.connect(where, uri=True)) as base:
+                # The schema of a stranger's file must not call functions.
                 base.execute("PRAGMA trusted_schema = OFF")
                 # A file that is cut off is read, too; none is written.
                 base.execute("PRAGMA writable_schema = ON")

@@ -7,9 +7,10 @@ import shutil
 import tempfile
 import weakref
 from abc import ABC, abstractmethod
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
+from functools import partial
 from pathlib import Path
-from typing import NamedTuple
+from typing import IO, NamedTuple
 
 import zstandard
 
@@ -92,18 +93,29 @@ class Workspace:
 
     def __init__(self) -> None:
         #: Paths of the copies, by those of the files.
-        self.copies: dict[str, str] = {}
+        self._copies: dict[str, str] = {}
         self._folder = ""
 
-    def path(self, name: str, n_bytes: int, of: str) -> str:
-        """The path of a new file of about that size. Raises SourceError if the disk is full."""
+    def copy(self, path: str, n_bytes: int, write: Callable[[str], None]) -> str:
+        """The path of the copy of a file, which is written where there is none yet: of about so
+        many bytes. Raises SourceError if the disk is full.
+        """
+        if path in self._copies:
+            return self._copies[path]
         if not self._folder:
             self._folder = tempfile.mkdtemp(prefix="sparseskin-")
+            # Removed with the last reader, or at the end of the program.
             weakref.finalize(self, shutil.rmtree, self._folder, ignore_errors=True)
+        # Checked before anything is written: a full disk would stop other programs.
         if n_bytes > self.free_bytes:
             needed = f"needs {n_bytes / 1e6:.0f} MB in {self._folder}, which has"
-            raise SourceError(f"{of}: {needed} {self.free_bytes / 1e6:.0f} MB")
-        return str(Path(self._folder) / f"{len(self.copies)}_{name}")
+            raise SourceError(f"{path}: {needed} {self.free_bytes / 1e6:.0f} MB")
+
+        name = Path(path).name.removesuffix(".zstd")
+        copy = str(Path(self._folder) / f"{len(self._copies)}_{name}")
+        write(copy)
+        self._copies[path] = copy
+        return copy
 
     @property
     def free_bytes(self) -> int:
@@ -119,6 +131,7 @@ def workspace_of(paths: Sequence[str]) -> Workspace:
     """The copies of some files, as long as these are not changed."""
     files = [Path(path + ending) for path in paths for ending in ("", *LOGS)]
     states = [file.stat() for file in files if file.is_file()]
+    # Their contents are not compared: that would read all of them.
     versions = [(state.st_mtime_ns, state.st_size) for state in states]
     key = (*paths, *versions)
     # A file that was written again has other copies.
@@ -132,65 +145,56 @@ def decompressed(path: str, work: Workspace) -> str:
     """The path of a file, or of its decompressed copy, if it is compressed by zstd. Raises
     SourceError if it cannot be decompressed, or grows far more than recordings do.
     """
-    if path in work.copies:
-        return work.copies[path]
     with reading(path) as file:
-        is_compressed = file.read(len(ZSTD_MAGIC)) == ZSTD_MAGIC
-        if not is_compressed:
+        if file.read(len(ZSTD_MAGIC)) != ZSTD_MAGIC:
             return path
 
-        size = file.seek(0, 2)
-        file.seek(0)
-        copy = work.path(Path(path).stem, 2 * size, path)
-        # A small file may decompress to a disk full of zeros.
-        room_bytes = max(MAX_GROWN_BYTES, MAX_GROWTH * size)
-        free_bytes = work.free_bytes
-        decompressor = zstandard.ZstdDecompressor(max_window_size=MAX_WINDOW_BYTES)
-        try:
-            with (
-                Path(copy).open("wb") as out,
-                decompressor.stream_reader(file) as stream,
-            ):
-                part = stream.read(COPY_BYTES)
-                while part:
-                    room_bytes -= len(part)
-                    free_bytes -= len(part)
-                    if min(room_bytes, free_bytes) < 0:
-                        raise SourceError(
-                            f"{path}: is far larger than its file; {CONVERT}"
-                        )
-                    out.write(part)
-                    part = stream.read(COPY_BYTES)
-        except zstandard.ZstdError as error:
-            # What came before the damage is read as a file that is cut off.
-            fault = str(error)
-        else:
-            fault = "it is empty"
+    def decompress(copy: str) -> None:
+        with reading(path) as file:
+            fault = _decompress(file, Path(copy), path, work.free_bytes)
         if not Path(copy).stat().st_size:
             raise SourceError(f"{path}: cannot be decompressed ({fault}); {CONVERT}")
-    work.copies[path] = copy
-    return copy
+
+    return work.copy(path, 2 * Path(path).stat().st_size, decompress)
+
+
+def _decompress(file: IO[bytes], out: Path, path: str, free_bytes: int) -> str:
+    """Decompress a file as far as it can be, into another; why it ends there."""
+    size = file.seek(0, 2)
+    file.seek(0)
+    # A small file may decompress to a disk full of zeros.
+    room_bytes = min(free_bytes, max(MAX_GROWN_BYTES, MAX_GROWTH * size))
+    decompressor = zstandard.ZstdDecompressor(max_window_size=MAX_WINDOW_BYTES)
+    try:
+        with out.open("wb") as copy, decompressor.stream_reader(file) as stream:
+            for part in iter(partial(stream.read, COPY_BYTES), b""):
+                room_bytes -= len(part)
+                if room_bytes < 0:
+                    raise SourceError(f"{path}: is far larger than its file; {CONVERT}")
+                copy.write(part)
+    except zstandard.ZstdError as error:
+        # What came before the damage is read as a file that is cut off.
+        return str(error)
+    return "it is empty"
 
 
 def with_log(path: str, work: Workspace) -> str:
     """The path of a database, or of a copy of it with what a killed recorder left beside it."""
-    if path in work.copies:
-        return work.copies[path]
-    logs = []
-    for ending in LOGS:
-        log = Path(path + ending)
-        if log.is_file() and log.stat().st_size:
-            logs.append(log)
+    logs = [ending for ending in LOGS if _size(path + ending)]
     if not logs:
         return path
 
-    n_bytes = sum(file.stat().st_size for file in (Path(path), *logs))
-    copy = work.path(Path(path).name, 2 * n_bytes, path)
-    shutil.copyfile(path, copy)
-    for log in logs:
-        shutil.copyfile(log, copy + log.name.removeprefix(Path(path).name))
-    work.copies[path] = copy
-    return copy
+    def copy_all(copy: str) -> None:
+        for ending in ("", *logs):
+            shutil.copyfile(path + ending, copy + ending)
+
+    n_bytes = sum(_size(path + ending) for ending in ("", *logs))
+    return work.copy(path, 2 * n_bytes, copy_all)
+
+
+def _size(path: str) -> int:
+    """Size of a file, bytes; 0 where there is none."""
+    return os.path.getsize(path) if os.path.isfile(path) else 0
 
 
 def of_whole_pages(path: str, work: Workspace) -> str:
@@ -198,24 +202,21 @@ def of_whole_pages(path: str, work: Workspace) -> str:
 
     SQLite reads the missing end of a page as zeros, which would become forces.
     """
-    key = f"{path} in whole pages"
-    if key in work.copies:
-        return work.copies[key]
     with reading(path) as file:
         file.seek(PAGE_BYTES_AT)
         page_bytes = int.from_bytes(file.read(2), "big")
     # 65536 does not fit into the two bytes: it is stored as 1.
     if page_bytes == 1:
         page_bytes = 1 << 16
-    n_bytes = Path(path).stat().st_size
+    n_bytes = _size(path)
     if not page_bytes or n_bytes % page_bytes == 0:
         return path
 
-    copy = work.path(Path(path).name, n_bytes, path)
-    shutil.copyfile(path, copy)
-    os.truncate(copy, n_bytes // page_bytes * page_bytes)
-    work.copies[key] = copy
-    return copy
+    def copy_pages(copy: str) -> None:
+        shutil.copyfile(path, copy)
+        os.truncate(copy, n_bytes // page_bytes * page_bytes)
+
+    return work.copy(path, n_bytes, copy_pages)
 
 
 def plain_message(data: bytes) -> bytes:
@@ -223,6 +224,7 @@ def plain_message(data: bytes) -> bytes:
     if not data.startswith(ZSTD_MAGIC):
         return data
     try:
+        # The size is stated by the message itself, and read before memory is used.
         if zstandard.frame_content_size(data) > MAX_MESSAGE_BYTES:
             raise SourceError(f"a message is larger than {MAX_MESSAGE_BYTES} bytes")
         decompressor = zstandard.ZstdDecompressor(max_window_size=MAX_WINDOW_BYTES)

@@ -59,9 +59,11 @@ def export_foxglove(
     check_installed("writing for Foxglove", "foxglove", "foxglove", error=BagError)
     import foxglove
 
+    # What is wrong with the bag is reported before a file is begun.
     frame_topics = stream_topics(bag, topics)
     if out.suffix != ".mcap":
         raise OutputError(f"{out}: expected a name that ends in .mcap")
+    # The skin states pitch, unit and places, which single frames do not repeat.
     patches = {patch_of(topic) for topic in frame_topics}
     skins = {patch: skin_of(bag, patch) for patch in patches}
     with whole_file(out) as draft:
@@ -71,6 +73,7 @@ def export_foxglove(
         except (OSError, ValueError, RuntimeError) as error:
             raise OutputError(f"{out}: {error}") from error
         with writer:
+            # The launch file and the counts stay with the data.
             if bag.metadata:
                 writer.write_metadata(GRAPH_RECORD, bag.metadata)
             if bag.counts is not None:
@@ -100,6 +103,7 @@ class Channels(dict[str, Any]):
 
         if topic not in self:
             channel_of: Any = foxglove.Channel
+            # A mapping is a JSON Schema; a name is that of one of the SDK's own channels.
             options: dict[str, Any] = {"schema": schema}
             if schema == "json":
                 options = {"message_encoding": "json"}
@@ -134,6 +138,7 @@ def contents(
     elif isinstance(message, Measurements):
         yield topic, "RawImage", lambda: raw_image(message, np.asarray(message.y))
     elif forces is not None:
+        # Both layers are fields of one grid, so that a viewer switches between them.
         layers = {"force": forces}
         yield topic, "RawImage", lambda: raw_image(message, forces)
         if sd is not None:
@@ -147,6 +152,7 @@ def contents(
                 lambda: point_cloud(message, layers, skin),
             )
     if "forces" in values:
+        # A bridge adds what only a live graph has, as the latency.
         further = dict(more or {})
         schema = figures_schema(cls, further)
         yield f"{topic}/figures", schema, lambda: figures_of(message) | further
@@ -175,6 +181,7 @@ def figures_of(message: Message) -> dict[str, float]:
 def figures_schema(cls: type[Message], more: Iterable[str] = ()) -> dict[str, Any]:
     """JSON Schema of the numbers of a message class and of those that `more` names."""
     properties = {name: {"type": "number"} for name in (*figure_names(cls), *more)}
+    # All others are numbers.
     properties["trusted"] = {"type": "boolean"}
     return {"type": "object", "title": "sparseskin.Figures", "properties": properties}
 
@@ -202,6 +209,7 @@ def grid(message: Message, layers: dict[str, Floats], skin: SkinState | None) ->
     side = UNKNOWN_PITCH_M
     if skin is not None and skin.pitch_m:
         side = skin.pitch_m
+    # Layers of one cell stand beside each other.
     data = np.stack([layer.astype("<f4") for layer in layers.values()], axis=-1)
     return Grid(
         timestamp=_timestamp(message.stamp_ns),
@@ -269,6 +277,8 @@ def _contact_primitives(shape: Shape, middle: Doubles, colour: Any) -> dict[str,
     d = shape.diameter
     centre = shape.centre - middle
     tail = shape.tail - middle
+
+    # An arrow of a viewer is given by its tail and a turn of the x axis.
     length = float(np.linalg.norm(centre - tail))
     head = min(d / 2, length)
     turn = _turn_from_x((centre - tail) / (length or 1.0))
@@ -301,6 +311,7 @@ def _turn_from_x(direction: Doubles) -> tuple[float, float, float, float]:
     # From x to -x every turn is as short: one about z is taken.
     if x < -0.999999:
         return (0.0, 0.0, 1.0, 0.0)
+    # From the double-angle formulas: w = cos(a/2), with cos(a) = x.
     half = float(np.sqrt(2 + 2 * x))
     return (0.0, -z / half, y / half, half / 2)
 
@@ -322,6 +333,7 @@ def _fields(names: Iterable[str]) -> list[Any]:
     fields = []
     for k, name in enumerate(names):
         kind = types.Uint32 if name == ROW else types.Float32
+        # All columns have four bytes, whatever their type is.
         offset = FLOAT32_BYTES * k
         fields.append(PackedElementField(name=name, offset=offset, type=kind))
     return fields

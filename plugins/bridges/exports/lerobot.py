@@ -76,6 +76,7 @@ class _Stream:
 
     def newest(self, times_ns: Times, back: int = 0) -> npt.NDArray[np.intp]:
         """Number of the frame `back` before the last one at or before each time, at least 0."""
+        # Never a frame of later: a policy would see the future.
         newest_frames = np.searchsorted(self.times_ns, times_ns, side="right") - 1
         return np.maximum(newest_frames - back, 0)
 
@@ -83,6 +84,7 @@ class _Stream:
         """The values of those frames, with a number for readings that are missing."""
 
         def take(times_ns: Times, columns: slice) -> Floats:
+            # Columns of a few frames: the file is mapped, and not read as a whole.
             values = self.values[self.newest(times_ns, back), columns]
             return np.nan_to_num(values, copy=False, nan=missing)
 
@@ -126,6 +128,7 @@ class _Episode:
         begin_ns = int(rows_ns[0])
         end_ns = int(rows_ns[-1])
         periods_ns = [stream.period_ns for stream in self.maps + self.contacts]
+        # The last row may lie between two frames of the slowest topic.
         slack_ns = max(period_ns, *periods_ns)
         if begin_ns < first_ns or end_ns > last_ns + slack_ns:
             span_s = (last_ns - first_ns) / 1e9
@@ -135,6 +138,7 @@ class _Episode:
                 f"{self.path}: lasts {span_s:.3f} s, but the rows of its episode are those of "
                 f"{begin_s:.3f} to {end_s:.3f} s; state --offset, or the recording of that episode"
             )
+        # Allowed, as people stop a robot before its recorder; but it may be the wrong recording.
         if end_ns + slack_ns < last_ns:
             unused = f"its last {(last_ns - end_ns) / 1e9:.3f} s"
             print(f"{self.path}: {unused} have no rows", file=sys.stderr)
@@ -152,6 +156,7 @@ class _Episode:
             features[stream.key] = Feature((stream.size, n), None, frames)
             features[f"{stream.key}.age"] = Feature((stream.size,), None, ages)
 
+        # A NaN in the state would spoil a training: a missing reading is no force there.
         forces = [stream.part(missing=0) for stream in self.maps]
         n_forces = sum(width for width, _ in forces)
         features[FORCES] = Feature((n_forces,), None, forces)
@@ -177,6 +182,7 @@ def _following(rows_ns: Times, part: Part) -> Part:
     width, take_part = part
 
     def take(times_ns: Times, columns: slice) -> Floats:
+        # An action is what comes next.
         following = np.searchsorted(rows_ns, times_ns, side="right")
         following = np.minimum(following, len(rows_ns) - 1)
         return take_part(rows_ns[following], columns)
@@ -223,6 +229,7 @@ def export_lerobot(
     _check_options({"fps": fps, "window": window, "contacts": contacts}, out, into)
     offsets_ns = _offsets_ns(offset, len(bags))
     rate = fps or FPS
+    # Rows are those of the dataset where there is one.
     existing = None
     if into is not None:
         existing = Dataset(Path(into))
@@ -236,6 +243,7 @@ def export_lerobot(
     with whole_folder(out):
         with tempfile.TemporaryDirectory(dir=out, prefix=".frames") as name:
             folder = Path(name)
+            # All episodes have the window of the first one: shapes of features must agree.
             sizes = dict[str, int]()
             episodes = []
             for bag, offset_ns in zip(bags, offsets_ns, strict=True):
@@ -249,6 +257,7 @@ def export_lerobot(
                 episodes.append(_episode(bag.path, maps, states, offset_ns))
 
             dataset = existing
+            # Its length is known once all topics have been read.
             if dataset is None:
                 lengths = [episode.n_rows(rate) for episode in episodes]
                 dataset = make_dataset(folder / "rows", lengths, rate)
@@ -266,6 +275,7 @@ def _check_shapes(
     added: Sequence[dict[str, Feature]], path: Path, path_of_first: Path
 ) -> None:
     """Raise BagError if the features of the last episode have other shapes than the first one's."""
+    # A dataset has one shape of each feature for all of its episodes.
     expected = {key: feature.shape for key, feature in added[0].items()}
     shapes = {key: feature.shape for key, feature in added[-1].items()}
     if shapes != expected:
@@ -353,6 +363,7 @@ def _read(
         if not stamps:
             raise BagError(f"{bag.path}: {topic}: states messages, but holds none")
         file.flush()
+        # The mapping keeps the deleted file until the dataset is written.
         mapped = np.memmap(file, "<f4", "r", shape=(len(stamps), math.prod(shape)))
     return shape, np.array(stamps, np.int64), mapped
 
@@ -399,6 +410,7 @@ def _episode(
     path: Path, maps: list[_Stream], contacts: list[_Stream], offset_ns: int
 ) -> _Episode:
     """An episode with times after its begin."""
+    # With times as they are in the bag.
     first_ns, last_ns = _Episode(path, 0, maps, contacts).span_ns
     if last_ns < first_ns:
         raise BagError(f"{path}: its topics have no time in common")

@@ -59,11 +59,13 @@ class Feature:
 
     def rows(self, times_ns: Times) -> Floats:
         """Values at each time, (n_times, *shape)."""
+        # Blocks stand beside each other, in the order of the numbers of a row.
         parts = [take(times_ns, slice(None)) for _, take in self.parts]
         return np.concatenate(parts, axis=1).reshape(len(times_ns), *self.shape)
 
     def stats(self, times_ns: Times) -> Stats:
         """Statistics over the times, computed by blocks of columns."""
+        # Statistics are computed in float64, eight bytes a number.
         block = max(1, BLOCK_BYTES // (8 * len(times_ns)))
         blocks = []
         for width, take in self.parts:
@@ -93,6 +95,7 @@ class Dataset:
         with self._refused():
             self._info = json.loads((root / INFO).read_text())
             self._stats = json.loads((root / STATS).read_text())
+            # Other versions keep rows and episodes in other files.
             version = self._info["codebase_version"]
             if version != VERSION:
                 raise ValueError(
@@ -104,6 +107,7 @@ class Dataset:
                 raise ValueError(f"fps {self.fps} is outside 0..{MAX_FPS}")
 
             self._data = sorted(root.glob("data/*/*.parquet"))
+            # Only these columns are read: images would fill the memory.
             names = ["episode_index", "timestamp"]
             tables = [pq.read_table(path, columns=names) for path in self._data]
             table = pa.concat_tables(tables)
@@ -127,6 +131,7 @@ class Dataset:
 
         Raises BagError if the dataset cannot be read, or has another of the features.
         """
+        # State and forces are appended to; any other feature would be overwritten.
         for key in added[0].keys() & self._features.keys() - {STATE, FORCES}:
             raise BagError(f"{self.root}: has a feature {key} already")
 
@@ -168,6 +173,7 @@ class Dataset:
     def _in_ns(self, seconds: npt.NDArray[Any]) -> Times:
         """Timestamps, float32, in nanoseconds: multiples of 1 / fps where they are."""
         wide = seconds.astype(np.float64)
+        # A float32 of some minutes is exact to some 30 us: rounding would shift frames.
         row = np.rint(wide * self.fps)
         regular = np.abs(wide - row / self.fps) < TOLERANCE_S
         exact = row.astype(np.int64) * 1_000_000_000 // self.fps
@@ -206,6 +212,7 @@ class Dataset:
                 table = pa.Table.from_batches([batch]).replace_schema_metadata(None)
                 table = self._joined_rows(table, added)
                 if writer is None:
+                    # The schema is known with the first block.
                     target = _make(out / path.relative_to(self.root))
                     writer = pq.ParquetWriter(
                         target, table.schema, compression="snappy"
@@ -281,6 +288,7 @@ def make_dataset(root: Path, lengths: Sequence[int], fps: int) -> Dataset:
     import pyarrow as pa
     import pyarrow.parquet as pq
 
+    # Rows are numbered through all episodes.
     begins = np.cumsum([0, *lengths])
     episodes = []
     stats = []
@@ -292,6 +300,7 @@ def make_dataset(root: Path, lengths: Sequence[int], fps: int) -> Dataset:
             "index": begins[k] + np.arange(n),
             "task_index": np.zeros(n, np.int64),
         }
+        # A file of its own for each episode.
         places = {"chunk_index": k // CHUNK, "file_index": k % CHUNK}
         pq.write_table(pa.table(columns), _make(root / DATA_PATH.format(**places)))
         of_columns = {name: _stats(values[:, None]) for name, values in columns.items()}
@@ -365,6 +374,7 @@ def _write_tasks(path: Path) -> None:
         types = {"pandas_type": pandas_type, "numpy_type": numpy_type}
         columns.append({"name": name, "field_name": name, "metadata": None, **types})
     about = {"index_columns": ["task"], "column_indexes": [], "columns": columns}
+    # LeRobot looks a task up by its text, which pandas restores as the index.
     text = json.dumps({**about, "pandas_version": "2.0.0"})
     table = pa.table({"task_index": [0], "task": [TASK]})
     pq.write_table(table.replace_schema_metadata({"pandas": text}), path)
@@ -430,6 +440,7 @@ def _nested(values: Floats) -> Any:
 
     if values.shape[1:] == (1,):
         values = values[:, 0]
+    # Innermost lists first.
     nested = pa.array(values.ravel())
     for n in reversed(values.shape[1:]):
         nested = pa.FixedSizeListArray.from_arrays(nested, n)

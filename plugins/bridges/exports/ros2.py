@@ -32,6 +32,7 @@ from sparseskin.nodes.recorder.bag.frames import (
 from sparseskin.nodes.recorder.bag.reader import BagReader
 from sparseskin.plugins.bridges import cdr
 from sparseskin.plugins.bridges.base import check_installed
+from sparseskin.plugins.bridges.ros2 import OF_CONTACTS
 
 _MAX_SECONDS = (1 << 31) - 1
 BOOL = "std_msgs/msg/Bool"
@@ -56,6 +57,7 @@ def export_ros2(
     check_installed("writing for ROS 2", "ros2", "rosbags", error=BagError)
     from rosbags.rosbag2 import StoragePlugin, Writer
 
+    # What is wrong with the bag is reported before a folder is made.
     read_topics = with_states(bag, stream_topics(bag, topics))
     patches = {patch_of(topic) for topic in read_topics}
     skins = {patch: skin_of(bag, patch) for patch in patches}
@@ -67,6 +69,7 @@ def export_ros2(
             for message, log_time_ns in streams(bag, read_topics, "export"):
                 skin = skins[message.patch]
                 for topic, kind, data in _messages(message, skin, bag.path):
+                    # Only topics with a message are in the bag.
                     if topic not in connections:
                         connections[topic] = writer.add_connection(
                             topic, kind, typestore=cdr.types()
@@ -98,15 +101,15 @@ def _messages(
     if isinstance(message, STATES):
         yield topic, *scalar(STRING, json.dumps(state_json(message)))
     elif isinstance(message, Contacts):
-        yield f"{topic}/wrench", cdr.WRENCH, cdr.contact_wrench(stamp, message)
-        yield f"{topic}/array", cdr.ARRAY, cdr.contact_array(message)
-        if skin is not None:
-            markers = cdr.contact_markers(stamp, message, skin)
-            yield f"{topic}/markers", cdr.MARKERS, markers
+        for name, (ending, kind, make) in OF_CONTACTS.items():
+            # What is drawn has the unit and the range of the skin.
+            if skin is not None or name != "markers":
+                yield topic + ending, kind, make(message, skin)
     elif isinstance(message, Measurements):
         yield topic, *image(np.asarray(message.y))
     elif forces is not None:
         yield topic, *image(forces)
+        # A float32 would round the sum of many taxels.
         total = float(forces.sum(dtype=np.float64))
         yield f"{topic}/total_force", *scalar(FLOAT, total)
 

@@ -76,6 +76,7 @@ class Decoder:
     def __init__(self, definitions: Definitions, kind: str) -> None:
         self._kind = kind
         self._is_cdr = definitions.ros == 2
+        # Each message of ROS 2 states its order; those of ROS 1 are little endian.
         orders = list(ORDERS.values()) if self._is_cdr else ["<"]
         self._read: dict[str, Read] = {}
         for order in orders:
@@ -95,6 +96,7 @@ class Decoder:
             order = ORDERS[data[:2]]
             body = memoryview(data)[ENCAPSULATION_BYTES:]
 
+        # Lists of fixed length within each other may ask for any amount of memory.
         if self._least_bytes > len(body) + SPARE_BYTES:
             raise SourceError(f"no {self._kind}: it has {len(body)} bytes")
         try:
@@ -143,6 +145,7 @@ class _Readers:
         """The reader of a type of messages."""
         if kind in self._messages:
             return self._messages[kind]
+        # A definition may contain itself, or be nested without end.
         if kind in self._open or len(self._open) >= MAX_DEPTH:
             raise SourceError(f"the definition of {printable(kind)} is nested too deep")
 
@@ -211,6 +214,7 @@ class _Readers:
             n = count
             if n == SEQUENCE:
                 n, at = read_count(data, at)
+            # No length is believed before it is compared with the bytes that follow.
             if n * least_bytes > len(data) - at + SPARE_BYTES or n > MAX_COUNT:
                 raise SourceError(f"a list of {n} entries is longer than its message")
             return n, at
@@ -226,6 +230,7 @@ class _Readers:
             # An empty list is not aligned.
             if n:
                 at = (at + align - 1) & -align
+            # A view: numpy refuses one beyond the end of the bytes.
             numbers = np.ndarray((n,), dtype, data, at)
             return numbers, at + n * dtype.itemsize
 
@@ -258,6 +263,7 @@ class _Readers:
             begin = at
             n, at = read_length(data, at)
             at = (at + align - 1) & -align
+            # The places depend on where the list begins, as alignment counts from the message.
             fixed = layouts[at % phases]
             if fixed is None or not n:
                 return read_list(data, begin)
@@ -303,11 +309,13 @@ class _Readers:
         return self._dtypes[key]
 
     def _dtype(self, kind: str, phase: int) -> np.dtype[Any] | None:
+        # Members are laid out one after the other, each at the next multiple of its alignment.
         names: list[str] = []
         formats: list[np.dtype[Any]] = []
         offsets: list[int] = []
         at = phase
         for member in self._definitions.members(kind):
+            # Texts and lists of any length have no fixed size.
             is_number = member.kind in BASES and member.n_entries != SEQUENCE
             is_message = "/" in member.kind and member.n_entries is None
             if not (is_number or is_message):
@@ -349,6 +357,7 @@ class _Readers:
 def _scalar(order: str, code: str, is_aligned: bool) -> Read:
     """The reader of a number."""
     dtype = np.dtype(code)
+    # Compiled once for each member, as it is called for each message.
     unpack = struct.Struct(order + CHARS[code]).unpack_from
     size = dtype.itemsize
     align = size if is_aligned else 1

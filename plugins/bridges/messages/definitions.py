@@ -1,9 +1,11 @@
-"""Definitions of messages: those of a recording, and those of ROS itself."""
+"""Definitions of messages: of a recording, of ROS itself, and of packages of ROS on this host."""
 
 from __future__ import annotations
 
+import os
 import re
 from collections.abc import Iterator
+from pathlib import Path
 from typing import Any, NamedTuple
 
 from sparseskin.messages.text import printable
@@ -29,24 +31,22 @@ BASES = {
 """Dtype of each base type that is a number."""
 STRING = "string"
 TIME = "builtin_interfaces/msg/Time"
-DURATION = "builtin_interfaces/msg/Duration"
 HEADER = "std_msgs/msg/Header"
-SHORT = {"time": TIME, "duration": DURATION, "Header": HEADER}
-"""Names that a definition uses without a package."""
 SEQUENCE = -1
 """`Member.n_entries` of a list whose length is in the message."""
 MAX_TEXT_BYTES = 1 << 20
 """Longest definition that is parsed; chosen: ten times the longest one of ROS."""
+MAX_PLAIN_BYTES = 1 << 16
+"""Longest one .msg without comments; chosen: 19 times the longest of ROS, in about a second."""
 MAX_COUNT = 1 << 26
 """Most entries of a list of fixed length; chosen: more than any message holds."""
 EMPTY = "structure_needs_at_least_one_member"
 """The member of a message without members, as ROS 2 sends it."""
-LINE = re.compile(
-    r"(?P<type>[A-Za-z]\w*(?:/\w+){0,2})(?:<=\d+)?"
-    r"(?:(?P<list>\[)(?P<limit><=)?(?P<count>\d*)\])?[ \t]+"
-    r"(?P<name>[A-Za-z]\w*)(?P<rest>[ \t]*=.*|[ \t]+\S.*)?"
-)
-"""A line of a definition: a type, [] of a list, a name, and what follows it."""
+PREFIXES = "AMENT_PREFIX_PATH"
+"""Variable of a terminal of ROS 2 with the folders of its packages."""
+MAX_TYPES = 1000
+CONSTANT = re.compile(r"\S+[ \t]+\w+[ \t]*=")
+"""The begin of a line of a definition .msg that defines a constant."""
 
 
 class Member(NamedTuple):
@@ -73,14 +73,19 @@ class Definitions:
         """Add the types of a definition, in the form "msg" or "idl". Those that were added before
         remain. Raises SourceError if it cannot be read.
         """
+        # The time of the parser grows with the text.
         if len(text) > MAX_TEXT_BYTES:
             limit = f"at most {MAX_TEXT_BYTES}"
             raise SourceError(
                 f"the definition of {printable(kind)} has {len(text)} bytes; {limit}"
             )
 
-        is_idl = form == "idl"
-        types_of_text = _of_idl(text) if is_idl else dict(_of_msg(kind, text, self.ros))
+        types_of_text = {}
+        for name, (_, members) in _parsed(kind, text, form).items():
+            types_of_text[name] = tuple(_of_store(members, self.ros))
+            # A message of ROS 2 is never without a byte.
+            if not members and self.ros == 2:
+                types_of_text[name] = (Member(EMPTY, "uint8"),)
         if kind not in types_of_text:
             raise SourceError(f"the definition of {printable(kind)} does not define it")
         self._added = types_of_text | self._added
@@ -91,10 +96,11 @@ class Definitions:
 
     def members(self, kind: str) -> Members:
         """The members of a type. Raises SourceError if it is not known."""
+        # The definition in the recording goes before that of the installed ROS: it wrote the bytes.
         if kind in self._added:
             return self._added[kind]
         if self.is_of_ros(kind):
-            return tuple(_of_store(self._store.fielddefs[kind][1]))
+            return tuple(_of_store(self._store.fielddefs[kind][1], self.ros))
         raise SourceError(f"the definition of {printable(kind)} is not known")
 
 
@@ -106,83 +112,49 @@ def full_name(kind: str) -> str:
     return f"{package}/msg/{name}"
 
 
-def _of_msg(kind: str, text: str, ros: int) -> Iterator[tuple[str, Members]]:
-    """The types in a definition .msg, and in those that follow it after lines of =."""
-    parts = re.split(r"^={3,}[ \t]*\r?\n", text, flags=re.MULTILINE)
-    for number, part in enumerate(parts):
-        name = kind
-        if number:
-            heading, _, part = part.partition("\n")
-            if not heading.startswith("MSG:"):
-                raise SourceError(
-                    f"the definition of {printable(kind)} has a part without a name"
-                )
-            name = full_name(heading.removeprefix("MSG:").strip())
-
-        members = tuple(_members(name, part, ros))
-        # A message of ROS 2 is never without a byte.
-        if not members and ros == 2:
-            members = (Member(EMPTY, "uint8"),)
-        yield name, members
-
-
-def _members(kind: str, text: str, ros: int) -> Iterator[Member]:
-    """The members in a definition .msg, whose constants and defaults are not read."""
-    for number, full_line in enumerate(text.splitlines(), start=1):
-        line = full_line.partition("#")[0].strip()
-        if not line or line.startswith("@"):
-            continue
-        match = LINE.fullmatch(line)
-        if match is None:
-            place = f"the definition of {printable(kind)}, line {number}"
-            raise SourceError(f"{place}: {printable(line[:60])!r} is no member")
-        is_constant = (match["rest"] or "").lstrip().startswith("=")
-        if is_constant:
-            continue
-
-        count = None
-        if match["count"] and not match["limit"]:
-            count = int(match["count"][:12])
-        elif match["list"]:
-            count = SEQUENCE
-        yield Member(match["name"], _type(match["type"], kind, ros), count)
-
-
-def _type(name: str, owner: str, ros: int) -> str:
-    """The full name of a type that a definition of `owner` uses."""
-    if name == "byte" and ros == 1:
-        return "int8"
-    if name in BASES or name in (STRING, "wstring"):
-        return name
-    if name in SHORT:
-        return SHORT[name]
-    if "/" in name:
-        return full_name(name)
-    return f"{owner.rpartition('/')[0]}/{name}"
-
-
-def _of_idl(text: str) -> dict[str, Members]:
-    """The types in a definition .idl."""
-    from rosbags.typesys import get_types_from_idl
+def _parsed(kind: str, text: str, form: str = "msg") -> dict[str, Any]:
+    """The types in a definition, as rosbags has them, and in those of its members that follow it,
+    each behind a line of = and its name. Raises SourceError if it cannot be read.
+    """
+    from rosbags.typesys import get_types_from_idl, get_types_from_msg
 
     types: dict[str, Any] = {}
     try:
-        # Those of its members follow it, each behind a line of = and its name.
-        lines = re.sub(r"^[ \t]*(#include|//).*", "", text, flags=re.MULTILINE)
-        parts = re.split(r"^={3,}[ \t]*\r?\nIDL:.*\n", lines, flags=re.MULTILINE)
-        for part in parts:
-            if part.strip():
-                types |= get_types_from_idl(part)
+        if form == "idl":
+            # What is included follows in the text itself.
+            lines = re.sub(r"^[ \t]*(#include|//).*", "", text, flags=re.MULTILINE)
+            for part in re.split(
+                r"^={3,}[ \t]*\r?\nIDL:.*\n", lines, flags=re.MULTILINE
+            ):
+                if part.strip():
+                    types |= get_types_from_idl(part)
+        else:
+            lines = "".join(f"{line}\n" for line in _plain_lines(text))
+            if len(lines) > MAX_PLAIN_BYTES:
+                raise ValueError(f"{len(lines)} characters, at most {MAX_PLAIN_BYTES}")
+            types = get_types_from_msg(lines, kind)
     except Exception as error:
         # The parser may raise anything at a text of another program.
-        reason = " ".join(str(error).split())[:100]
-        raise SourceError(
-            f"a definition .idl cannot be read: {printable(reason)}"
-        ) from error
-    return {kind: tuple(_of_store(members)) for kind, (_, members) in types.items()}
+        reason = printable(" ".join(str(error).split())[:100])
+        fault = f"the definition of {printable(kind)}, .{form}, cannot be read"
+        raise SourceError(f"{fault}: {reason}") from error
+    return types
 
 
-def _of_store(members: Any) -> Iterator[Member]:
+def _plain_lines(text: str) -> Iterator[str]:
+    """Lines of a definition .msg without comments, annotations, constants and defaults."""
+    for full_line in text.splitlines():
+        line = full_line.partition("#")[0].strip()
+        if line.startswith("==="):
+            # As long as the parser expects it.
+            yield "=" * 80
+        elif line.startswith("MSG:"):
+            yield line
+        elif line and not line.startswith("@") and not CONSTANT.match(line):
+            yield " ".join(line.split()[:2])
+
+
+def _of_store(members: Any, ros: int = 2) -> Iterator[Member]:
     """Members as rosbags has them: (name, (node, what it is of))."""
     from rosbags.interfaces import Nodetype
 
@@ -195,4 +167,48 @@ def _of_store(members: Any) -> Iterator[Member]:
             count = SEQUENCE
 
         kind = detail if node == Nodetype.NAME else detail[0]
+        # A byte of ROS 1 has a sign.
+        if ros == 1 and kind in ("byte", "octet"):
+            kind = "int8"
         yield Member(name, kind, count)
+
+
+def learn(kind: str) -> None:
+    """Add a type, and those of its members, to the types of ROS 2 that are known, if it is none of
+    them. Raises SourceError if it is not installed, or its definition cannot be read.
+    """
+    store = types()
+    new_types: dict[str, Any] = {}
+    waiting = [kind]
+    while waiting:
+        name = waiting.pop()
+        if name in store.fielddefs or name in new_types or len(new_types) > MAX_TYPES:
+            continue
+
+        types_of_text = _parsed(name, _text_of(name))
+        new_types |= types_of_text
+
+        # The types of its members, and of the entries of its lists.
+        _, members = types_of_text[name]
+        for member in _of_store(members):
+            if "/" in member.kind:
+                waiting.append(member.kind)
+
+    # All at once: types refer to each other.
+    if new_types:
+        store.register(new_types)
+
+
+def _text_of(kind: str) -> str:
+    """The definition of a type, as its package has it."""
+    package, _, name = kind.partition("/msg/")
+    prefixes: list[str] = []
+    if package.isidentifier() and name.isidentifier():
+        # A name from the network must not lead out of these folders.
+        prefixes = os.environ.get(PREFIXES, "").split(os.pathsep)
+    for prefix in prefixes:
+        path = Path(prefix) / "share" / package / "msg" / f"{name}.msg"
+        if prefix and path.is_file():
+            return path.read_text("utf-8", "replace")
+    hint = f"source the setup.bash of its package, which sets {PREFIXES}"
+    raise SourceError(f"the definition of {printable(kind[:80])} is not known; {hint}")

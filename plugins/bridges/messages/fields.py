@@ -65,6 +65,7 @@ def numbers_at(message: Message, path: str) -> Numbers:
     are one, unless their names are those of rows or columns. Raises EmptyMessageError if there are
     none, SourceError if there is no such field, or its lists have several lengths.
     """
+    # A message that is a frame by itself needs no path.
     if message.kind in KINDS and (not path or path in fields_of(message)):
         return grid_of(message, path)
 
@@ -74,6 +75,7 @@ def numbers_at(message: Message, path: str) -> Numbers:
         raise EmptyMessageError("holds no number")
     if values.size > MAX_NUMBERS:
         raise SourceError(f"{values.size} numbers; at most {MAX_NUMBERS}")
+    # Contact switches are readings of 0 and 1.
     if values.dtype.kind == "b":
         values = values.view(np.uint8)
     if values.dtype.kind not in "iuf":
@@ -102,10 +104,13 @@ def _names_beside(message: Message, steps: list[Step], n: int) -> tuple[str, ...
 
     for name in NAMES:
         try:
-            value = _value_of(message, [*stem, name, *ending])
+            values = _walk(message, [*stem, name, *ending], 0, ()).values
         except SourceError:
             continue
-        texts = tuple(map(str, value))
+        if values.ndim != 1 or values.dtype.kind not in "iuU":
+            continue
+
+        texts = tuple(map(str, values.tolist()))
         digits = [re.search(r"\d+", text) for text in texts]
         numbers = [int(match[0]) for match in digits if match is not None]
         are_names = len(texts) == n == len(numbers) == len(set(texts))
@@ -120,23 +125,6 @@ def _taxel_name(text: str) -> str:
     if text.isdecimal():
         return f"taxel_{text}"
     return text
-
-
-def _value_of(message: Message, steps: list[Step]) -> list[Any]:
-    """The entries of a list of texts or whole numbers. Raises SourceError if there are none."""
-    value: Any = message
-    for at, step in enumerate(steps):
-        if isinstance(value, Message) and isinstance(step, str):
-            value = _of_message(value, step)
-        elif step is None and isinstance(value, list) and at + 1 < len(steps):
-            return [_of_message(entry, steps[-1]) for entry in value]
-        elif isinstance(value, np.ndarray) and isinstance(step, str):
-            value = _member_of(value, step)
-    if isinstance(value, np.ndarray) and value.dtype.kind in "iu" and value.ndim == 1:
-        return list(value.tolist())
-    if isinstance(value, list) and all(isinstance(entry, int | str) for entry in value):
-        return value
-    raise SourceError("no list of names")
 
 
 def value_at(message: Message, path: str) -> int | float | Message:
@@ -173,6 +161,7 @@ def paths_of(message: Message, channel: str = "") -> dict[str, Numbers]:
         with suppress(SourceError):
             fields[path] = numbers_at(message, path)
 
+    # Counters and times are fields of readings only where nothing else is.
     paths = [path for path in fields if not NO_READINGS.fullmatch(_last_name(path))]
     readings = {path: fields[path] for path in paths}
     return readings or fields
@@ -219,14 +208,16 @@ def _walk(
     if isinstance(value, Message) and value.kind in KINDS:
         grid = grid_of(value)
         return _Walked(grid.values, (*axes, *grid.axes), True)
-    if not isinstance(value, np.ndarray | int | float):
+    # A list of texts may be the names of numbers.
+    is_of_texts = isinstance(value, list) and all(isinstance(v, str) for v in value)
+    if not (is_of_texts or isinstance(value, np.ndarray | int | float | str)):
         raise SourceError(
             "field: a list of messages; state [] or [k], and the name of a number"
         )
 
     values = np.asarray(value)
     inner_axes = tuple(Axis(size, name) for size in values.shape[n_open:])
-    has_channels = bool(inner_axes) or steps[-1] is None
+    has_channels = bool(inner_axes) or steps[-1:] == [None]
     return _Walked(values, (*axes, *inner_axes), has_channels=has_channels)
 
 
@@ -263,6 +254,7 @@ def _entry(values: Any, step: Step, name: str, n_open: int = 0) -> Any:
 
     if isinstance(values, list):
         return values[step]
+    # The axes that are open already stand before it.
     open_axes = [slice(None)] * n_open
     return np.asarray(values[(*open_axes, step)])
 
@@ -274,6 +266,7 @@ def _stacked(
     if not values:
         raise EmptyMessageError("holds no number")
 
+    # Each entry is walked by itself, and all must have one shape.
     parts = [_walk(value, steps, 0, ()) for value in values]
     shapes = {part.values.shape for part in parts}
     if len(shapes) > 1:
@@ -354,6 +347,7 @@ def _endings(value: Any, is_listed: bool) -> Iterator[str]:
 
 def _of_list(n: int, ending: str, entry: Any) -> Iterator[str]:
     """The paths into a list of messages: all entries, and each of them where it may be a skin."""
+    # A path without a list in its ending holds one number of each entry.
     is_frame = isinstance(entry, Message) and entry.kind in KINDS
     if "[]" not in ending and not is_frame:
         yield "[]" + ending
@@ -391,6 +385,7 @@ def only_channel(paths: Iterable[str], channel: str) -> list[str]:
         axes: tuple[str, ...] = XYZ
         if not letter.islower():
             axes = tuple(axis.upper() for axis in XYZ)
+        # Only where all three stand beside each other are they the axes of a force.
         siblings = {stem + axis + brackets for axis in axes}
         is_of_three = letter in axes and siblings.issubset(all_paths)
         if not is_of_three or letter.lower() == letter_wanted:

@@ -68,6 +68,7 @@ def fields_of(message: Message, readings: bool = False) -> dict[str, str]:
     dtypes = {}
     for field in message["fields"]:
         name = field["name"]
+        # A type that is not known is left out: its size is not known either.
         if not 1 <= field["datatype"] < len(FIELDS):
             continue
         if readings and PLACES.fullmatch(name):
@@ -83,12 +84,14 @@ def _image(message: Message) -> Numbers:
         raise SourceError(
             f"encoding {printable(encoding[:32])!r}; allowed are {ALLOWED}"
         )
+    # mono8 and mono16 are unsigned numbers without a count of channels.
     n_bits = int(match[1] or match[4])
     code = KINDS_OF_NUMBERS[match[2] or "U"] + str(n_bits // 8)
     if code in ("f1", "f2"):
         raise SourceError(f"encoding {encoding!r}; allowed are {ALLOWED}")
 
     n_channels = int(match[3] or 1)
+    # The bytes of a pixel, whose numbers follow each other.
     pitch = n_channels * n_bits // 8
     values = _cells(message, message["step"], pitch, 0, code, n_channels)
     axes = [Axis(message["height"], "rows"), Axis(message["width"], "cols")]
@@ -133,6 +136,7 @@ def _cells(
     if n_rows * n_cols * n > MAX_NUMBERS:
         raise SourceError(f"{n_rows} x {n_cols} taxels; at most {MAX_NUMBERS} numbers")
 
+    # Its own order: that of the encapsulation may differ.
     order = ">" if message["is_bigendian"] else "<"
     dtype = np.dtype(order + code)
     end = offset + n * dtype.itemsize
@@ -173,6 +177,7 @@ def _array(message: Message) -> Numbers:
     strides = [int(dim["stride"]) for dim in dims]
     steps = _steps(sizes, strides, data.size - offset)
     strides_bytes = [step * data.itemsize for step in steps]
+    # Within the data, as `_steps` has checked.
     values = np.ndarray(sizes, data.dtype, data, offset * data.itemsize, strides_bytes)
     return Numbers(values, axes)
 
@@ -180,6 +185,7 @@ def _array(message: Message) -> Numbers:
 def _axis(size: int, label: str) -> Axis:
     """An axis, with the names of its entries where its label is a list of them."""
     names = tuple(name.strip() for name in label.split(","))
+    # A label such as "fx,fy,fz" names each entry of its dimension.
     if len(names) == size > 1:
         return Axis(size, "channel", names)
     return Axis(size, label)

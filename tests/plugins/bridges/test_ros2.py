@@ -189,23 +189,19 @@ def test_a_topic_whose_fields_or_shape_are_not_stated_names_them():
     right = TopicFrames("ros2:/a", cdr.IMAGE, Layout(frame_id="right", order="rows"))
     assert right.frame(raw) is None
     assert np.array_equal(right.frame(other)[1], forces(1))
-    joints = cdr.types().types["sensor_msgs/msg/JointState"]
-    header = cdr._header((1, 2), "arm")
-    state = cdr.types().serialize_cdr(
-        joints(header, ["a"], *[np.ones(2)] * 3), joints.__msgtype__
-    )
+    joints = "sensor_msgs/msg/JointState"
+    numbers = dict.fromkeys(("position", "velocity", "effort"), np.ones(2))
+    state = cdr.encoded(joints, header=((1, 2), "arm"), name=["a"], **numbers)
     with pytest.raises(
         SourceError, match=r"3 fields of numbers: position\[\] .2., velocity"
     ):
-        TopicFrames("ros2:/a", joints.__msgtype__, Layout()).frame(bytes(state))
+        TopicFrames("ros2:/a", joints, Layout()).frame(state)
     with pytest.raises(
         SourceError, match=r"maker_msgs/msg/None is not known; source the setup\.bash"
     ):
         TopicFrames("ros2:/a", "maker_msgs/msg/None", Layout())
     with pytest.raises(SourceError, match="in which shape is not stated"):
-        TopicFrames("ros2:/a", joints.__msgtype__, Layout(field="effort")).frame(
-            bytes(state)
-        )
+        TopicFrames("ros2:/a", joints, Layout(field="effort")).frame(state)
 
 
 def test_a_topic_that_nobody_publishes_is_one_line():

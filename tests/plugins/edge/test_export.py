@@ -20,6 +20,7 @@ from sparseskin.nodes.errors import SettingsError
 from sparseskin.nodes.node import Context
 from sparseskin.plugins.boards.framing import FrameParser
 from sparseskin.plugins.edge.description import (
+    MAX_CHARS,
     EdgeDescription,
     compressed,
     framing_of,
@@ -287,6 +288,7 @@ def test_values_that_are_not_allowed_are_refused_by_name(values, line):
             "seed = 0\nmask = [" + '"1x1111",' * 6 + "]",
             "mask: expected texts of 0 and 1",
         ),
+        ("version = 1", "version = 1 " + "#" * MAX_CHARS, "no TOML: more than "),
     ],
 )
 def test_a_file_that_was_changed_is_refused_with_its_place(old, new, line, tmp_path):
