@@ -1,6 +1,7 @@
 """Compiled loops: used where numba is installed, else refused in one line; compiled once."""
 
 import importlib.util
+import os
 import subprocess
 import sys
 import tempfile
@@ -10,7 +11,11 @@ import pytest
 from sparseskin.nodes.errors import SettingsError
 from sparseskin.nodes.numerics import compiled as fast
 from sparseskin.nodes.numerics.compiled import ready, use_compiled
-from sparseskin.nodes.numerics.warm_up import compile_loops
+from sparseskin.nodes.numerics.warm_up import (
+    USUAL_MODULES,
+    compile_loops,
+    store_bytecode,
+)
 
 HAS_NUMBA = importlib.util.find_spec("numba") is not None
 needs_numba = pytest.mark.skipif(
@@ -202,3 +207,24 @@ def _module_of(folder):
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
     return module
+
+
+def test_bytecode_is_stored_where_python_stores_none(tmp_path, monkeypatch):
+    monkeypatch.setattr(sys, "dont_write_bytecode", True)
+    source = tmp_path / "drawn_module.py"
+    source.write_text("VALUE = 1\n")
+    stored = importlib.util.cache_from_source(str(source))
+    spec = importlib.util.spec_from_file_location("drawn_module", source)
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    assert not os.path.exists(stored)
+    store_bytecode([module, sys])  # one without a file
+    assert os.path.exists(stored)
+    # A folder without a place for it is none of its errors.
+    source.unlink()
+    store_bytecode([module])
+
+
+def test_the_modules_whose_bytecode_is_stored_exist():
+    for name in USUAL_MODULES:
+        assert importlib.util.find_spec(name) is not None
