@@ -104,16 +104,18 @@ def run_graph(
     """Run a graph of nodes with stopwatches on the frames of a point, with some variables of the
     environment; return the report of each.
 
-    `point` as of `measure`; and iterations, where their number is stated, priority of all nodes,
+    `point` as of `measure`; and source, in place of frames of the scene that are computed before,
+    iterations, where their number is stated, priority of all nodes,
     and processes, the name of the process of each node that shares one. Raises StudyError if the
     graph fails.
     """
     names: tuple[str, ...] = ("preset", "depth", "contacts", "iterations")
     solver = {name: point[name] for name in names if name in point}
+    looped = f"sparseskin.studies.looped:{point['scene']}"
     nodes: dict[str, dict[str, Any]] = {
         "sensor": {
             "type": f"{_NODES}Sensor",
-            "source": f"sparseskin.studies.looped:{point['scene']}",
+            "source": point.get("source", looped),
             "rate_hz": point["rate_hz"],
         },
         "compressor": {"type": f"{_NODES}Compressor", "rows": FIXED},
