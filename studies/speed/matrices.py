@@ -11,6 +11,7 @@ import numpy as np
 
 from sparseskin.messages import SkinState, Taxels, decode
 from sparseskin.messages.wire import received, wire_bytes
+from sparseskin.nodes.compressor.phi.gaussian import N_MAX
 from sparseskin.nodes.numerics.arrays import Floats
 from sparseskin.nodes.process.proc import own_bytes
 from sparseskin.nodes.sensor.noise import NoiseModel
@@ -54,6 +55,7 @@ def points(quick: bool, seed: int) -> list[dict[str, Any]]:
         {"kind": kind, "ratio": ratio, "side": side, "seed": seed}
         for side in sides
         for kind, ratio in KINDS
+        if kind != "gaussian" or side**2 <= N_MAX
     ]
 
 
