@@ -116,14 +116,14 @@ def _set_up(kind: str, ratio: float, state: SkinState) -> Pair:
     if ratio > 1:
         settings["ratio"] = ratio
     gc.collect()
-    before = own_bytes(os.getpid())
+    bytes_before = own_bytes(os.getpid())
     begin_s = time.process_time()
     edge = made_node("compressor", settings)
     host = made_node("reconstructor", {"iterations": ITERATIONS})
     for message in (state, *edge.step(state)):
         list(host.step(message))
     set_up_s = time.process_time() - begin_s
-    memory_mb = (own_bytes(os.getpid()) - before) / 1e6
+    memory_mb = (own_bytes(os.getpid()) - bytes_before) / 1e6
     return Pair(edge, host, set_up_s, memory_mb, edge_s=[], host_s=[])
 
 

@@ -85,8 +85,8 @@ def compared(alone: Used, whole: Used, n_frames: int) -> dict[str, float]:
 
 def record_scene(path: Path, point: dict[str, Any]) -> None:
     """Record truth, taxels and measurements of a scene, as of `measure`."""
-    first = {"first": point["first"], "seed": point["seed"]}
-    sensor = Sensor.Settings(source=f"scene:{point['scene']}", **first)
+    part = {"first": point["first"], "seed": point["seed"]}
+    sensor = Sensor.Settings(source=f"scene:{point['scene']}", **part)
     nodes: dict[str, Any] = {
         "sensor": (Sensor, sensor),
         "compressor": (Compressor, Compressor.Settings()),
