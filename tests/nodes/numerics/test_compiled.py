@@ -6,8 +6,10 @@ import subprocess
 import sys
 import tempfile
 
+import numpy as np
 import pytest
 
+from sparseskin.nodes.compressor.phi.base import make_phi
 from sparseskin.nodes.errors import SettingsError
 from sparseskin.nodes.numerics import compiled as fast
 from sparseskin.nodes.numerics.compiled import ready, use_compiled
@@ -16,6 +18,9 @@ from sparseskin.nodes.numerics.warm_up import (
     compile_loops,
     store_bytecode,
 )
+from sparseskin.nodes.reconstructor.bases.base import make_basis
+from sparseskin.nodes.reconstructor.solvers.base import make_solver
+from sparseskin.studies.presses import press_frames
 
 HAS_NUMBA = importlib.util.find_spec("numba") is not None
 needs_numba = pytest.mark.skipif(
@@ -228,3 +233,15 @@ def test_bytecode_is_stored_where_python_stores_none(tmp_path, monkeypatch):
 def test_the_modules_whose_bytecode_is_stored_exist():
     for name in USUAL_MODULES:
         assert importlib.util.find_spec(name) is not None
+
+
+@needs_numba
+def test_what_fades_on_an_untouched_skin_becomes_0_and_no_subnormal_number():
+    phi = make_phi("full", 32 * 32, 32 * 32, seed=0)
+    solver = make_solver("skin", phi, make_basis("haar", 32, 32), fast="on")
+    frames = press_frames("peg", (32, 32), 30, seed=0, course="sudden")
+    smallest = np.finfo(np.float32).tiny
+    for forces, _ in frames:
+        solver.solve(phi.forward(forces.reshape(-1)))
+        kept = np.abs(solver._estimator.vectors.x)
+        assert not np.any((kept > 0) & (kept < smallest))
