@@ -8,7 +8,7 @@ import queue
 import threading
 from collections.abc import Callable, Iterator
 from functools import partial
-from typing import TypeVar
+from typing import Generic, TypeVar
 
 from sparseskin.messages import Message
 from sparseskin.nodes.bus import Bus
@@ -17,9 +17,11 @@ from sparseskin.nodes.graph import NodeSpecs
 from sparseskin.nodes.node import Tick
 from sparseskin.nodes.node_host import NodeHost
 
-N_WAITING = 16
-"""Most frames that wait between two threads. Chosen: few enough for memory, and no thread waits for
-another at each frame."""
+N_TOGETHER = 8
+"""Frames that are handed to another thread together. Chosen: one that is handed over alone costs
+as much processor time as to record it, since each thread then waits for another at each frame."""
+N_WAITING = 4
+"""Most of these groups that wait between two threads. Chosen: few enough for memory."""
 LOOK_S = 0.1
 """Time after which a thread that waits looks whether the others still run, seconds."""
 
@@ -28,32 +30,47 @@ Delivery = tuple[NodeHost, Message]
 Item = TypeVar("Item")
 
 
-class Handover(queue.Queue[Item | None]):
-    """A queue between two threads; None is its end. Neither side waits once `stopped` is set."""
+class Handover(Generic[Item]):
+    """A queue between two threads. Neither side waits once `stopped` is set."""
 
     def __init__(self, stopped: threading.Event) -> None:
-        super().__init__(N_WAITING)
         self._stopped = stopped
+        #: Groups of items; an empty one is the end.
+        self._groups: queue.Queue[list[Item]] = queue.Queue(N_WAITING)
+        self._group: list[Item] = []
 
-    def give(self, item: Item | None) -> None:
-        """Append an item, when there is room."""
-        while not self._stopped.is_set():
-            try:
-                self.put(item, timeout=LOOK_S)
-            except queue.Full:
-                continue
-            return
+    def give(self, item: Item) -> None:
+        """Append an item, when there is room; it is handed over with those that follow."""
+        self._group.append(item)
+        if len(self._group) >= N_TOGETHER:
+            self._hand_over()
+
+    def end(self) -> None:
+        """Hand over what is left, and the end."""
+        if self._group:
+            self._hand_over()
+        self._hand_over()
 
     def items(self) -> Iterator[Item]:
         """Yield the items up to the end."""
         while not self._stopped.is_set():
             try:
-                item = self.get(timeout=LOOK_S)
+                group = self._groups.get(timeout=LOOK_S)
             except queue.Empty:
                 continue
-            if item is None:
+            if not group:
                 return
-            yield item
+            yield from group
+
+    def _hand_over(self) -> None:
+        group = self._group
+        self._group = []
+        while not self._stopped.is_set():
+            try:
+                self._groups.put(group, timeout=LOOK_S)
+            except queue.Full:
+                continue
+            return
 
 
 class Pipeline(Bus):
@@ -95,7 +112,7 @@ class Pipeline(Bus):
             self._behind = []
             _advance(self._clock, _newest_ns(delivered))
             yield delivered
-        self._delivered.give(None)
+        self._delivered.end()
         for thread in self._threads:
             thread.join()
         if self._error is not None:
@@ -128,7 +145,7 @@ class Pipeline(Bus):
             newest_ns = max(newest_ns, _newest_ns(messages))
             index += 1
             self._acquired.give(messages)
-        self._acquired.give(None)
+        self._acquired.end()
 
     def _follow(self) -> None:
         """Let the listeners process what was delivered to them."""

@@ -1,13 +1,31 @@
 """Compiling of all loops before the first frame: `python -m sparseskin.nodes.numerics.warm_up` does
-it at installation.
+it at installation, and stores the bytecode of the modules that nodes import.
 """
 
 from __future__ import annotations
 
 import os
-from collections.abc import Callable
+import sys
+from collections.abc import Callable, Iterable
+from importlib import import_module
+from types import ModuleType
 
 from . import compiled
+
+USUAL_MODULES = (
+    "sparseskin.nodes.process.loop",
+    "sparseskin.nodes.sensor.node",
+    "sparseskin.nodes.compressor.node",
+    "sparseskin.nodes.compressor.phi.sbhe",
+    "sparseskin.nodes.reconstructor.node",
+    "sparseskin.nodes.reconstructor.contact_tracks",
+    "sparseskin.nodes.monitor.live.server",
+    "sparseskin.nodes.recorder.node",
+    "sparseskin.nodes.player.node",
+    "sparseskin.launch.run.running",
+    "sparseskin.launch.commands.entry",
+)
+"""Modules that the nodes of most graphs, and their launcher, import."""
 
 
 def compile_loops(
@@ -29,5 +47,27 @@ def compile_loops(
         log(compiled.NOT_INSTALLED if is_missing else compiled.NOT_IMPORTED)
 
 
-if __name__ == "__main__":
+def store_bytecode(modules: Iterable[ModuleType]) -> None:
+    """Store the bytecode of modules where it is missing or old, and where there is a place for it.
+
+    Some installers store none, nor does Python with PYTHONDONTWRITEBYTECODE: each start would then
+    compile all modules anew, which takes 2 s of a processor for numba alone.
+    """
+    import compileall
+
+    for module in modules:
+        path = getattr(module, "__file__", None)
+        if path is not None and path.endswith(".py"):
+            compileall.compile_file(path, quiet=2)
+
+
+def main() -> None:
+    """Prepare an installation for the first start of its nodes."""
     compile_loops("auto", print)
+    for name in USUAL_MODULES:
+        import_module(name)
+    store_bytecode(list(sys.modules.values()))
+
+
+if __name__ == "__main__":
+    main()

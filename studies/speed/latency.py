@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import json
+import os
 import resource
 import subprocess
 import sys
 import tempfile
 import time
+from collections.abc import Mapping
 from itertools import product
 from pathlib import Path
 from typing import Any
@@ -96,19 +98,24 @@ def measure(point: dict[str, Any]) -> dict[str, Any]:
     }
 
 
-def run_graph(point: dict[str, Any]) -> dict[str, dict[str, Any]]:
-    """Run a graph of nodes with stopwatches on the frames of a point; return the report of each.
+def run_graph(
+    point: dict[str, Any], environment: Mapping[str, str] | None = None
+) -> dict[str, dict[str, Any]]:
+    """Run a graph of nodes with stopwatches on the frames of a point, with some variables of the
+    environment; return the report of each.
 
-    `point` as of `measure`; and iterations, where their number is stated, priority of all nodes,
+    `point` as of `measure`; and source, in place of frames of the scene that are computed before,
+    iterations, where their number is stated, priority of all nodes,
     and processes, the name of the process of each node that shares one. Raises StudyError if the
     graph fails.
     """
     names: tuple[str, ...] = ("preset", "depth", "contacts", "iterations")
     solver = {name: point[name] for name in names if name in point}
+    looped = f"sparseskin.studies.looped:{point['scene']}"
     nodes: dict[str, dict[str, Any]] = {
         "sensor": {
             "type": f"{_NODES}Sensor",
-            "source": f"sparseskin.studies.looped:{point['scene']}",
+            "source": point.get("source", looped),
             "rate_hz": point["rate_hz"],
         },
         "compressor": {"type": f"{_NODES}Compressor", "rows": FIXED},
@@ -128,7 +135,12 @@ def run_graph(point: dict[str, Any]) -> dict[str, dict[str, Any]]:
         command = [sys.executable, "-m", "sparseskin", "launch", "graph.toml"]
         command += ["--frames", str(point["n_frames"]), "--summary", "summary.json"]
         done = subprocess.run(
-            command, cwd=folder, capture_output=True, text=True, check=False
+            command,
+            cwd=folder,
+            env={**os.environ, **(environment or {})},
+            capture_output=True,
+            text=True,
+            check=False,
         )
         if done.returncode:
             raise StudyError(

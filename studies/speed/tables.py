@@ -27,7 +27,7 @@ from sparseskin.studies.harness import (
 from sparseskin.studies.points import Function, compute_rows
 from sparseskin.studies.report import Page, cells, markdown
 
-from . import beside, latency, processes
+from . import beside, latency, matrices, offline, processes, start
 from .bodies import time_body
 from .quiet import QUIET_S, WAYS, time_quiet
 
@@ -59,6 +59,8 @@ def run(out: Path, quick: bool, seed: int, executor: str) -> list[str]:
     lines += [quiet_body(page, quick, seed), *stages(page, quick, seed)]
     lines += beside_lean(page, quick, seed)
     lines += shared_processes(page, quick, seed)
+    lines += [*matrices_of(page, quick, seed), *offline_of(page, quick, seed)]
+    lines += starts(page, quick, seed)
     page.write(lines)
     return lines
 
@@ -301,3 +303,80 @@ def _processes_table(rows: pd.DataFrame, kind: str) -> pd.DataFrame:
 
 def _quantiles(rows: pd.DataFrame, kind: str) -> list[str]:
     return cells(rows, f"{{{kind} p50_ms:.2f}}, {{{kind} p99_ms:.2f}}")
+
+
+def matrices_of(page: Page, quick: bool, seed: int) -> list[str]:
+    """Set-up, memory and time of a frame of each kind of Phi."""
+    points = matrices.points(quick, seed)
+    rows = pd.DataFrame(
+        compute_rows(matrices.measure, points, page.out, TIMED_ON, "matrices")
+    )
+    page.csv("matrices", rows)
+    table = pd.DataFrame(
+        {
+            "taxels": cells(rows, "{side} x {side}"),
+            "phi": rows["kind"],
+            "M": [f"N/{ratio}" if ratio > 1 else "N" for ratio in rows["ratio"]],
+            "set-up, s": cells(rows, "{set_up_s:.2f}"),
+            "memory, MB": cells(rows, "{memory_mb:.0f}"),
+            "edge, us": cells(rows, "{edge_us:.0f}"),
+            "host, us": cells(rows, "{host_us:.0f}"),
+            "frame, in that of the default": cells(rows, "{ratio to default:.2f}"),
+            "error, N": cells(rows, "{error:.4f}"),
+        }
+    )
+    page.section(
+        "Measurement matrices",
+        table,
+        iterations=matrices.ITERATIONS,
+        n_frames=matrices.N_FRAMES - matrices.WARM_UP,
+    )
+    return cells(
+        rows[rows["kind"] == "full"],
+        "Reading all {side} x {side} taxels takes {ratio to default:.2f} times the processor time "
+        "of the default Phi.",
+    )
+
+
+def offline_of(page: Page, quick: bool, seed: int) -> list[str]:
+    """Reprocessing of a recording beside its solver alone."""
+    points = offline.points(quick, seed)
+    rows = pd.DataFrame(
+        compute_rows(offline.measure, points, page.out, TIMED_ON, "offline")
+    )
+    page.csv("offline", rows)
+    table = pd.DataFrame(
+        {
+            "iterations": rows["iterations"],
+            "solver alone, us": cells(rows, "{alone_us:.0f}"),
+            "reprocess, us": cells(rows, "{reprocess_us:.0f}"),
+            "frames/s, in those of the solver": cells(rows, "{hz ratio:.2f}"),
+            "the same of processor time": cells(rows, "{cpu ratio:.2f}"),
+        }
+    )
+    page.section(
+        "Reprocessing",
+        table,
+        scene=offline.SCENE,
+        n_frames=rows["n_frames"][0],
+        slices=offline.SLICES,
+    )
+    return cells(
+        rows,
+        "Reprocessing in {iterations} iterations reaches {hz ratio:.0%} of the frames per second "
+        "of the solver alone.",
+    )
+
+
+def starts(page: Page, quick: bool, seed: int) -> list[str]:
+    """Processor time of each node up to its first frame."""
+    rows = _measured(start.measure, start.points(quick, seed), page.out, "start")
+    page.csv("start", rows)
+    table = pd.DataFrame({"bytecode": rows["bytecode"].map(start.STORED)})
+    for node in processes.NODES:
+        table[f"{node}, s"] = cells(rows, f"{{{node}_s:.2f}}")
+    page.section("Start", table, scene=start.SCENE, starts=rows["starts"][0])
+    return cells(
+        rows[rows["bytecode"]],
+        "The reconstructor takes {reconstructor_s:.2f} s of a processor up to its first frame.",
+    )

@@ -15,7 +15,7 @@ from sparseskin.studies.accuracy import constants, contacts, rules
 from sparseskin.studies.accuracy import experiments as accuracy
 from sparseskin.studies.paper import tables as paper
 from sparseskin.studies.presses import N_BEFORE
-from sparseskin.studies.speed import beside, latency, processes
+from sparseskin.studies.speed import beside, latency, matrices, offline, processes
 from sparseskin.studies.speed import tables as speed
 from sparseskin.studies.speed_accuracy import charts as speed_accuracy
 from sparseskin.studies.speed_accuracy import experiments
@@ -41,7 +41,9 @@ SIZES = (
     (frames, {"_kept": lru_cache(frames._kept.__wrapped__)}),  # simulated once
     (harness, {"TIMED_ON": "serial"}),
     (latency, {"WARM_UP": 50, "SCENES": {"64 x 64": "drag_wrench_64"}}),
+    (matrices, {"QUICK_SIDES": (8,)}),
     (needs, {"QUICK_SCENES": ("lift_box_40",), "QUICK_STEPS": 350}),
+    (offline, {"SLICES": 1, "QUICK_N_FRAMES": 20}),
     (paper, {"BEFORE_MAPS": 0}),
     (phase, {"SUM_SOLVERS": SOLVERS, "N_STATIC": 6, "N_JUDGED": 2}),
     (stability, {"QUICK_KINDS": {"load": ("box",), "fault": ("zeros", "stuck blob")}}),

@@ -1,16 +1,26 @@
 """Compiled loops: used where numba is installed, else refused in one line; compiled once."""
 
 import importlib.util
+import os
 import subprocess
 import sys
 import tempfile
 
+import numpy as np
 import pytest
 
+from sparseskin.nodes.compressor.phi.base import make_phi
 from sparseskin.nodes.errors import SettingsError
 from sparseskin.nodes.numerics import compiled as fast
 from sparseskin.nodes.numerics.compiled import ready, use_compiled
-from sparseskin.nodes.numerics.warm_up import compile_loops
+from sparseskin.nodes.numerics.warm_up import (
+    USUAL_MODULES,
+    compile_loops,
+    store_bytecode,
+)
+from sparseskin.nodes.reconstructor.bases.base import make_basis
+from sparseskin.nodes.reconstructor.solvers.base import make_solver
+from sparseskin.studies.presses import press_frames
 
 HAS_NUMBA = importlib.util.find_spec("numba") is not None
 needs_numba = pytest.mark.skipif(
@@ -202,3 +212,36 @@ def _module_of(folder):
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
     return module
+
+
+def test_bytecode_is_stored_where_python_stores_none(tmp_path, monkeypatch):
+    monkeypatch.setattr(sys, "dont_write_bytecode", True)
+    source = tmp_path / "drawn_module.py"
+    source.write_text("VALUE = 1\n")
+    stored = importlib.util.cache_from_source(str(source))
+    spec = importlib.util.spec_from_file_location("drawn_module", source)
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    assert not os.path.exists(stored)
+    store_bytecode([module, sys])  # one without a file
+    assert os.path.exists(stored)
+    # A folder without a place for it is none of its errors.
+    source.unlink()
+    store_bytecode([module])
+
+
+def test_the_modules_whose_bytecode_is_stored_exist():
+    for name in USUAL_MODULES:
+        assert importlib.util.find_spec(name) is not None
+
+
+@needs_numba
+def test_what_fades_on_an_untouched_skin_becomes_0_and_no_subnormal_number():
+    phi = make_phi("full", 32 * 32, 32 * 32, seed=0)
+    solver = make_solver("skin", phi, make_basis("haar", 32, 32), fast="on")
+    frames = press_frames("peg", (32, 32), 30, seed=0, course="sudden")
+    smallest = np.finfo(np.float32).tiny
+    for forces, _ in frames:
+        solver.solve(phi.forward(forces.reshape(-1)))
+        kept = np.abs(solver._estimator.vectors.x)
+        assert not np.any((kept > 0) & (kept < smallest))
