@@ -14,6 +14,8 @@ from importlib.metadata import version as version_of
 from pathlib import Path
 from typing import Any
 
+from mcap.writer import CompressionType, Writer
+
 from sparseskin.messages import Message, MessageError, encode
 from sparseskin.messages.base import omitted_fields, wire_fields
 from sparseskin.messages.fields import (
@@ -48,7 +50,6 @@ from .format import (
     TopicInfo,
     check_new_bag,
 )
-from .mcap_file import McapFile
 
 CHUNK_BYTES = 1 << 20
 """A chunk is ended and compressed when its records exceed this many bytes."""
@@ -159,8 +160,15 @@ class BagWriter(AbstractContextManager["BagWriter"]):
         except (OSError, ValueError) as error:
             reason = error.strerror if isinstance(error, OSError) else error
             raise BagError(f"{self.part}: {reason}") from error
-        library = LIBRARY_PREFIX + version_of("sparseskin")
-        self._mcap = McapFile(self._file, library, CHUNK_BYTES)
+        # A reader believes the index if the checksum of the data before it is right.
+        self._mcap = Writer(
+            self._file,  # type: ignore[arg-type]
+            chunk_size=CHUNK_BYTES,
+            compression=CompressionType.LZ4,
+            enable_data_crcs=True,
+        )
+
+        self._mcap.start(library=LIBRARY_PREFIX + version_of("sparseskin"))
         self._mcap.add_metadata(GRAPH_RECORD, dict(metadata))
         # Now: a disk that takes nothing is reported before the first message.
         try:
@@ -182,13 +190,13 @@ class BagWriter(AbstractContextManager["BagWriter"]):
         if n_bytes > MAX_MESSAGE_BYTES:
             fault = f"a message of {n_bytes} bytes on {topic}"
             raise BagError(f"{self.path}: {fault}, at most {MAX_MESSAGE_BYTES}")
-        self._check_time(topic, "log time", log_time_ns)
-        self._check_time(topic, "stamp", stamp_ns)
+        for name, time_ns in (("log time", log_time_ns), ("stamp", stamp_ns)):
+            if not 0 <= time_ns <= INT64_MAX:
+                fault = f"{name} {time_ns} is outside 0..2**63 - 1"
+                raise BagError(f"{self.path}: {topic}: {fault}")
 
         # 32 bits in the file.
-        info = self._topics.get(topic)
-        if info is None:
-            info = self._topics[topic] = TopicInfo(schema, version)
+        info = self._topics.setdefault(topic, TopicInfo(schema, version))
         sequence = info.n_messages & 0xFFFFFFFF
         self._mcap.add_message(channel, log_time_ns, payload, stamp_ns, sequence)
         info.add(schema, version, stamp_ns, log_time_ns)
@@ -221,7 +229,7 @@ class BagWriter(AbstractContextManager["BagWriter"]):
         """
         self._check_open()
         with self._disk():
-            self._flush()
+            self._mcap.flush()
         self._oldest_s = None
 
     def close(self, counts: Mapping[str, Any] | None = None) -> None:
@@ -280,11 +288,6 @@ class BagWriter(AbstractContextManager["BagWriter"]):
         self._channels[topic, schema, version] = channel
         return channel
 
-    def _check_time(self, topic: str, name: str, time_ns: int) -> None:
-        if not 0 <= time_ns <= INT64_MAX:
-            fault = f"{name} {time_ns} is outside 0..2**63 - 1"
-            raise BagError(f"{self.path}: {topic}: {fault}")
-
     def _check_open(self) -> None:
         if self._failure:
             raise BagError(self._failure)
@@ -303,7 +306,7 @@ class BagWriter(AbstractContextManager["BagWriter"]):
 
     def _finish(self, counts: Mapping[str, Any] | None) -> None:
         # Counts by topic: of a whole file, no message has to be read for them.
-        self._flush()
+        self._mcap.flush()
         topics = {
             topic: dataclasses.asdict(info) for topic, info in self._topics.items()
         }
@@ -314,10 +317,6 @@ class BagWriter(AbstractContextManager["BagWriter"]):
         self._mcap.finish()
         self._file.flush()
         self._file.close(sync=True)
-
-    def _flush(self) -> None:
-        self._mcap.end_chunk()
-        self._file.flush()
 
     def _rename(self) -> None:
         try:
