@@ -209,7 +209,7 @@ def _run(launch: "LaunchFile", arguments: argparse.Namespace) -> int:
     }
     try:
         if sensed or code != EXIT_USAGE:
-            _print_summary(sensed or patches, summary["nodes"])
+            _print_summary(launch.name, sensed or patches, summary["nodes"])
     finally:
         # Stdout may be on a full disk.
         write_summary(arguments.summary, "launch-summary", summary)
@@ -228,11 +228,11 @@ def _run(launch: "LaunchFile", arguments: argparse.Namespace) -> int:
     return code
 
 
-def _print_summary(patches: dict[str, Any], nodes: dict[str, Any]) -> None:
+def _print_summary(graph: str, patches: dict[str, Any], nodes: dict[str, Any]) -> None:
     from sparseskin.nodes.monitor.table import summary_table
 
     if patches:
-        print(summary_table(patches))
+        print(summary_table(graph, patches))
     print_ends(nodes)
     sys.stdout.flush()
 

@@ -114,7 +114,7 @@ def _monitor(arguments: argparse.Namespace) -> int:
         )
 
     if summary["patches"]:
-        print(summary_table(summary["patches"]))
+        print(summary_table(graph.name, summary["patches"]))
     # A monitor that read nothing has failed, though it ended well.
     counts = [patch["frames"].values() for patch in summary["patches"].values()]
     if not any(map(any, counts)):

@@ -2,12 +2,10 @@
 
 import argparse
 import contextlib
-import functools
 import inspect
 import json
 import math
 import os
-import re
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -77,18 +75,8 @@ def add_page(
     rare(parser).add_argument("--no-token", action="store_true", help=about)
 
 
-TO_STATE = re.compile(r"\b(?:state|set) [^;]*")
-"""The part of an error that says what has to be stated."""
 USUAL_KEYS = ("n_rows", "n_cols", "unit", "rate_hz", "columns", "time", "topic")
 """Keys of a layout whose options `--help` shows without `--all`."""
-
-
-@functools.cache
-def _stated_key() -> re.Pattern[str]:
-    """A key of a layout in the part of an error that says what has to be stated."""
-    from sparseskin.nodes.sensor.layout.layout import KEYS
-
-    return re.compile(rf"(?<!a )(?<!the )(?<!no )(?<![\w,'-])({'|'.join(KEYS)})\b(=?)")
 
 
 def add_layout(parser: argparse.ArgumentParser, but: Sequence[str] = ()) -> None:
@@ -140,21 +128,9 @@ def layout_of(arguments: argparse.Namespace) -> "Layout":
 
 def as_options(text: str) -> str:
     """A line on a file in which the keys of a layout that are to be stated are options."""
-    from sparseskin.nodes.sensor.layout.checks import spelled
+    from sparseskin.launch.launchfile.stated import as_words
 
-    def with_value(key: str) -> str:
-        return f"{_option_of(key)} "
-
-    def option(match: re.Match[str]) -> str:
-        key, equals = match.groups()
-        if equals:
-            return with_value(key)
-        return _option_of(key)
-
-    def clause(match: re.Match[str]) -> str:
-        return _stated_key().sub(option, match[0])
-
-    return TO_STATE.sub(clause, spelled(text, with_value))
+    return as_words(text, lambda key: f"{_option_of(key)} ")
 
 
 def bag_names(names: Sequence[str], out: str) -> list[str]:

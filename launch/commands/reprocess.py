@@ -86,7 +86,7 @@ def _print_outcome(outcome: "Outcome") -> None:
         print(f"{outcome.job.out}: computed before, by the same command")
         return
     print(f"{outcome.job.out}:")
-    print(summary_table(outcome.patches))
+    print(summary_table(outcome.job.out, outcome.patches))
     per_minute = size_text(60 * outcome.n_bytes / outcome.seconds)
     size = size_text(outcome.n_bytes)
     print(f"{size} in {outcome.seconds:.1f} s: {per_minute} per minute")

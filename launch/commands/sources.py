@@ -15,13 +15,13 @@ import numpy as np
 
 from sparseskin.launch.attach.heat_map import heat_map
 from sparseskin.launch.attach.text import table
+from sparseskin.launch.launchfile.stated import as_words
 from sparseskin.launch.run.terminal import Terminal
 from sparseskin.messages.text import printable
 from sparseskin.nodes.errors import SourceError
 from sparseskin.nodes.extensions import ADDRESSES, DRIVERS, failures, loaded, offered
 from sparseskin.nodes.lookup import one_line
 from sparseskin.nodes.numerics.arrays import Floats
-from sparseskin.nodes.sensor.layout.checks import spelled
 from sparseskin.nodes.sensor.layout.layout import KEYS, Layout
 from sparseskin.nodes.sensor.source import DEFAULT_RATE_HZ, Listing, Source
 from sparseskin.nodes.sensor.sources import KINDS, find_kind, open_source
@@ -114,7 +114,8 @@ def _scope(arguments: argparse.Namespace) -> int:
     try:
         source = open_source(arguments.source, layout=_stated(arguments.set))
     except SourceError as error:
-        raise SourceError(spelled(str(error), lambda key: f"--set {key}=")) from error
+        line = as_words(str(error), lambda key: f"--set {key}=")
+        raise SourceError(line) from error
 
     # The last picture goes with the other screen of the terminal: figures are printed after it.
     view = View(source)

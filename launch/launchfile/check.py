@@ -15,7 +15,6 @@ from sparseskin.nodes.lookup import did_you_mean
 from sparseskin.nodes.node import Node
 from sparseskin.nodes.process.scheduling import Scheduling
 from sparseskin.nodes.registry import node_class
-from sparseskin.nodes.sensor.layout.checks import spelled
 from sparseskin.nodes.settings import Settings, setting
 from sparseskin.nodes.toml import toml_or_text
 
@@ -29,6 +28,7 @@ from .hosts import (
 )
 from .processes import Composition, check_processes
 from .spec import LAUNCHER, LIVE_RECORDER, LaunchError, LaunchFile, NodeSpec
+from .stated import as_words
 from .tables import read_table, read_tables
 
 RECORDER = "recorder"
@@ -336,7 +336,7 @@ class Checker:
         if part and part not in values[key]:
             part = ""
         place = tuple(filter(None, ("nodes", name, key, part)))
-        problem = spelled(problem, lambda key: f"--set {name}.{key}=")
+        problem = as_words(problem, lambda key: f"--set {name}.{key}=")
         if TO_NAME in problem:
             problem += _to_name(name, values)
         self.fault(place, problem)

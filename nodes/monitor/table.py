@@ -127,10 +127,10 @@ def _latency(patches: Sequence[PatchMetrics]) -> tuple[list[str], float]:
     return [text], p50_ms
 
 
-def summary_table(patches: Mapping[str, Mapping[str, Any]]) -> str:
-    """The summary of every patch as text for a terminal of 80 columns."""
+def summary_table(graph: str, patches: Mapping[str, Mapping[str, Any]]) -> str:
+    """The summary of every patch of a graph as text for a terminal of 80 columns."""
     if len(patches) > FEW:
-        text = _many_table(patches)
+        text = _many_table(graph, patches)
     else:
         text = "\n".join(patch_table(name, patch) for name, patch in patches.items())
     return "\n".join(filter(None, [text, doubts_text(patches.values())]))
@@ -291,11 +291,12 @@ def _since(stamp_ns: Any) -> str:
     return time.strftime(" since %H:%M:%S", time.localtime(stamp_ns / 1e9))
 
 
-def _many_table(patches: Mapping[str, Mapping[str, Any]]) -> str:
+def _many_table(graph: str, patches: Mapping[str, Mapping[str, Any]]) -> str:
     """One row a patch: counts of frames, mean PSNR of all and of contact frames, latency."""
-    scene = next(iter(patches.values()))["scene"]
+    # Patches of a body may have scenes of their own: what was launched names them all.
+    title = f" {printable(graph)}: {len(patches)} patches "
     rows = [
-        f" {len(patches)} patches: {printable(str(scene))} ".center(WIDTH, "="),
+        title.center(WIDTH, "="),
         f"{'':<12}{'frames':>8}{'skipped':>8}{'lost':>6}{'idle':>7}"
         f"{'PSNR dB':>10}{'contact':>8}{'latency p50':>12}{'p99 ms':>7}",
     ]

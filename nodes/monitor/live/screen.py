@@ -48,7 +48,7 @@ def screen(feed: Feed, notices: Notices, status: str) -> str:
             if patch.summary:
                 summaries[name] = patch.summary
         if summaries:
-            lines += summary_table(summaries).split("\n")
+            lines += summary_table(graph.get("name", ""), summaries).split("\n")
     return "\n".join(line[:WIDTH] for line in lines)
 
 

@@ -17,7 +17,6 @@ LINES = {
     "recording info 'a\nb.mcap'": "a b.mcap: no such file",
     "launch replay --set sensor.source=file:all.npy --set sensor.n_rows=3": "of 3 x any taxels",
     "launch replay --set sensor.source=file:flat.npy": "3 x 2, 2 x 3, 1 x 6 or 6 x 1",
-    "scope file:flat.npy": "shape is not stated: state ",
     "scope example:thumbs": "there is no such; allowed: fingers",
     "launch path_40 --set sensor.seed=-1": "--set sensor.seed=-1: -1 is outside",
     "launch path_40 --summary none/out.json": "--summary none/out.json: its folder does not exist",
@@ -51,6 +50,8 @@ LINES = {
     "reprocess some.mcap ./some.mcap --out new": "two of the files would become some.mcap",
     "reprocess some.mcap none.mcap --out new": "none.mcap: no such file",
     "recording import flat.npy --out c.mcap": "state --n-rows and --n-cols, 3 x 2",
+    "launch flat.npy": "state --set sensor.n_rows=N and --set sensor.n_cols=N, 3 x 2",
+    "scope file:flat.npy": "state --set n_rows=N and --set n_cols=N, 3 x 2",
     "recording import a.csv b.csv --out c.mcap": "--out c.mcap: several files need a folder",
     "calibrate scene:path_40 --out s.toml": "delivers true forces, which need no calibration",
 }
