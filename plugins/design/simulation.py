@@ -264,20 +264,20 @@ def simulated(
     terminal. Raises SparseskinError if a strategy is not possible on the skin.
     """
     mask = grid_of(design)
-    tasks: dict[tuple[int, int], tuple[_Reading, int]] = {}
+    tasks: dict[tuple[int, int], tuple[Reading, int]] = {}
     for scene in (TOUCH, *range(n_scenes)):
         # A task a scene: with one a strategy, all cores but one wait for the slowest, which takes
         # half of the time of all. Touches take longest, and come first.
         for k, row in enumerate(rows):
             bits = design.adc.bits if row.strategy.reads_single else design.bits
-            reading = _Reading(row.strategy, mask, design.noise, bits, row.reached_hz)
+            reading = Reading(row.strategy, mask, design.noise, bits, row.reached_hz)
             tasks[k, scene] = (reading, scene)
 
     n_workers = min(len(os.sched_getaffinity(0)), len(tasks))
     executor = "serial"
     if n_workers > 1:
         executor = f"process:{n_workers}"
-    finished = computed(executor, _figure, tasks)
+    finished = computed(executor, figure, tasks)
     # Closed, it ends the workers if one of them fails.
     with closing(finished):
         progress = tqdm(
@@ -303,7 +303,7 @@ TOUCH = -1
 
 
 @dataclass(frozen=True, eq=False)
-class _Reading:
+class Reading:
     """A strategy on a skin; `strategy`, `mask`, `noise`, `bits` as of `make_reader`."""
 
     strategy: Strategy
@@ -313,7 +313,7 @@ class _Reading:
     rate_hz: float
 
 
-def _figure(task: tuple[_Reading, int]) -> float:
+def figure(task: tuple[Reading, int]) -> float:
     """Mean PSNR of contact frames of a strategy in a scene in dB, or its lightest touch; seed of
     Phi is the scene's number.
     """
