@@ -1,7 +1,9 @@
 """Statistics of unbounded streams in bounded memory: extents, quantiles, the last minute."""
 
 import math
+from collections import deque
 from dataclasses import dataclass
+from itertools import islice
 
 import numpy as np
 import numpy.typing as npt
@@ -86,42 +88,25 @@ class History:
     def __init__(self, columns: tuple[str, ...] = COLUMNS) -> None:
         self.columns = columns
         self.n = 0
-        #: Number of the first row that is kept.
-        self._first = 0
-        #: Row number k is at k modulo the capacity.
-        self._rows = np.empty((MIN_CAPACITY, len(columns)))
+        self._rows: deque[tuple[float, ...]] = deque(maxlen=MAX_CAPACITY)
 
     def add(self, *row: float) -> None:
         """Add one row with the values of the columns; time must not decrease."""
-        while self._first_is_over(row[0]):
-            self._first += 1
-        if self.n - self._first == len(self._rows):
-            self._double_capacity()
-        self._rows[self.n % len(self._rows)] = row
+        rows = self._rows
+        # The first row goes once those behind it span enough time; of a slow stream old ones stay.
+        begin_s = row[0] - SPAN_S
+        while len(rows) >= MIN_CAPACITY and rows[1][0] <= begin_s:
+            rows.popleft()
+        rows.append(row)
         self.n += 1
-
-    def _first_is_over(self, time_s: float) -> bool:
-        """True if the first row can go: the rows behind it span enough time, or are too many."""
-        # Rows are counted first: of a slow stream old ones stay.
-        n_rows = self.n - self._first
-        if n_rows < MIN_CAPACITY:
-            return False
-        if n_rows >= MAX_CAPACITY:
-            return True
-        second_s = self._rows[(self._first + 1) % len(self._rows), 0]
-        return bool(time_s - second_s >= SPAN_S)
-
-    def _double_capacity(self) -> None:
-        n_first, rows = self.since(0)
-        capacity = 2 * len(self._rows)
-        self._rows = np.empty((capacity, len(self.columns)))
-        # Each row moves to its place modulo the new capacity.
-        self._rows[np.arange(n_first, self.n) % capacity] = rows
 
     def since(self, n: int) -> tuple[int, npt.NDArray[np.float64]]:
         """The rows from number `n`, or a later one if that is removed: the number of the first, and
         a copy of them, float64 (k, n_columns).
         """
-        n_first = max(n, self._first)
-        places = np.arange(n_first, self.n) % len(self._rows)
-        return n_first, self._rows[places]
+        first = max(n, self.n - len(self._rows))
+        n_rows = max(0, self.n - first)
+        # From the end: a page asks for the newest few of many.
+        newest = list(islice(reversed(self._rows), n_rows))
+        table = np.array(newest[::-1], dtype=np.float64)
+        return first, table.reshape(n_rows, len(self.columns))

@@ -40,7 +40,7 @@ LINES = {
     "play some.mcap --no-token": "--no-token: goes with --open",
     "play some.mcap --rate 2000": "--rate: 2000.0 is outside 0.0..1000.0",
     "play some.mcap --start 100": "--start: 100: the recording lasts 0.",
-    "play some.mcap --remap /left:=/right": "--remap: /left: not in the file (known: /skin/",
+    "play some.mcap --topics /left": "--topics: /left: not in the file (known: /skin/",
     "study paper-table": "did you mean 'paper-tables'",
     "study paper-tables --seed -1": "argument --seed: ",
     "study paper-tables --seed 4294967296": "argument --seed: ",
