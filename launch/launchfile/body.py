@@ -30,7 +30,7 @@ from .tables import Fault, bad_name, read_table
 SKIN = "skin"
 """Name of the table."""
 MAX_BODY = 4096
-"""Most patches of a body."""
+"""Most patches of a body; chosen: a humanoid robot has some hundred."""
 BODY_KEYS = ("patches", "description")
 """Keys of a body file."""
 _OF_SKIN = (
@@ -106,6 +106,7 @@ class Patch:
             values |= {"n_rows": s.n_rows, "n_cols": s.n_cols}
             values["pitch_mm"] = s.pitch_mm or PITCH_MM
             if s.mask is not None and not s.mask.all():
+                # Texts of 0 and 1, as a file of a skin states it.
                 rows = s.mask.astype(int)
                 values["mask"] = ["".join(map(str, row)) for row in rows]
         return {key: value for key, value in values.items() if value is not None}
@@ -139,10 +140,13 @@ def read_skin(table: object, folder: Path, fault: Fault) -> list[Batch]:
     if stated.body:
         patches = read_body(folder / stated.body, partial(note, (SKIN, "body")))
     elif stated.patches is not None:
-        keys = ("n_rows", "n_cols", "pitch_mm", "f_max")
         try:
             skin = SkinDescription(
-                name=SKIN, **{key: getattr(stated, key) for key in keys}
+                name=SKIN,
+                n_rows=stated.n_rows,
+                n_cols=stated.n_cols,
+                pitch_mm=stated.pitch_mm,
+                f_max=stated.f_max,
             )
             # Equal widths, so that the order of names is that of numbers.
             width = len(str(stated.patches - 1))
@@ -233,9 +237,10 @@ def _skin(
     """The skin of a patch, from its file or from the keys of its table."""
     if not stated.skin:
         # The taxels of a layout have places of their own.
-        pitch = {} if "points" in skin_keys else {"pitch_mm": PITCH_MM}
-        values = {"name": stated.name, "f_max": PAPER_F_MAX_N, **pitch, **skin_keys}
-        skin = parse_skin(values, where, folder)
+        values: dict[str, Any] = {"name": stated.name, "f_max": PAPER_F_MAX_N}
+        if "points" not in skin_keys:
+            values["pitch_mm"] = PITCH_MM
+        skin = parse_skin(values | skin_keys, where, folder)
     else:
         for key in skin_keys:
             raise SparseskinError(f"{where}.{key}: is stated beside skin")
@@ -253,8 +258,9 @@ def _check_compressor(stated: PatchTable, where: str) -> None:
             raise SparseskinError(f"{where}.compressor.{key}: is given by the body")
     # Checked as of a batch of two, which allows less than one patch does.
     patches = [stated.name, f"{stated.name}_"]
+    values = {**compressor, "patches": patches}
     try:
-        CompressorSettings.from_mapping({**compressor, "patches": patches}).check()
+        CompressorSettings.from_mapping(values).check()
     except SparseskinError as error:
         raise SparseskinError(f"{where}.compressor.{error}") from error
 
@@ -265,22 +271,28 @@ def batches_of(patches: list[Patch], most: int) -> Iterator[Batch]:
     for patch in patches:
         kinds.setdefault(patch.kind, []).append(patch)
 
-    # A message holds all patches of a batch, and their names.
+    # A message holds all patches of a batch, and their names: both have a largest size.
     parts: list[list[Patch]] = []
     for alike in kinds.values():
         skin = alike[0].skin
-        room = max(1, min(most, MAX_ELEMENTS // (skin.n_rows * skin.n_cols)))
+        n_fitting = MAX_ELEMENTS // (skin.n_rows * skin.n_cols)
+        room = max(1, min(most, n_fitting))
         part: list[Patch] = []
+        length = 0
         for patch in alike:
-            length = sum(len(each.name) + 1 for each in [*part, patch])
+            # Names are separated by one character each.
+            length += len(patch.name) + 1
             if len(part) == room or length > MAX_NAMES:
                 parts.append(part)
                 part = []
+                length = len(patch.name) + 1
             part.append(patch)
         parts.append(part)
 
     for k, part in enumerate(parts, start=1):
-        name = "body" if len(parts) == 1 else f"body_{k}"
+        name = "body"
+        if len(parts) > 1:
+            name += f"_{k}"
         yield Batch(name, tuple(part))
 
 
@@ -293,14 +305,18 @@ def expand(
     its own, is left as it is, a monitor gets all batches.
     """
     if "batches" in fields:
-        names = {batch.name: batch.names for batch in batches}
+        names = {}
         poses = {}
         for batch in batches:
+            names[batch.name] = batch.names
             for patch in batch.patches:
                 if patch.pose is not None:
                     poses[patch.name] = list(patch.pose)
-        return {name: {"patches": [], "batches": names, "poses": poses, **table}}
-    if not {"patch", "patches"} <= fields or "patches" in table or "patch" in table:
+        of_body = {"patches": [], "batches": names, "poses": poses}
+        return {name: {**of_body, **table}}
+
+    keys = {"patch", "patches"}
+    if not keys <= fields or keys & table.keys():
         return {name: dict(table)}
 
     tables = {}
@@ -314,6 +330,8 @@ def expand(
             values |= patch.compressor
         if patch.host:
             values["host"] = patch.host
-        node = name if len(batches) == 1 else f"{name}_{k}"
+        node = name
+        if len(batches) > 1:
+            node += f"_{k}"
         tables[node] = {**table, **values}
     return tables

@@ -85,13 +85,18 @@ class Checker:
         # Changes come first: each value is checked as it will be used.
         for override in overrides:
             self.override(override, tables)
+
         defaults = [cls() for cls in GRAPH_TABLES]
         (graph, *self.supervision), _ = read_table(
             self.tree.get(GRAPH, {}), (GRAPH,), self.fault, *defaults
         )
+
+        # Hosts, and who may read what they send.
         hosts = read_hosts(self.tree, self.fault)
         security = read_security(self.tree, hosts, self.folder, self.fault)
         check_exposure(hosts, security, graph.insecure, self.fault)
+
+        # What a recording keeps: the file with the changes as comments.
         changes = "".join(f"# --set {override}\n" for override in overrides)
         self.launched = changes + self.text
         tables = self.expanded(tables)
@@ -99,6 +104,7 @@ class Checker:
             # A process of its own: that it writes a file holds up no other node.
             tables[RECORDER] = {"type": "recorder", "out": record, "process": ""}
             self.overridden[RECORDER, "out"] = "--record"
+
         if hosts:
             for name, table in tables.items():
                 # The recorder of --record runs wherever that was typed.
@@ -137,6 +143,7 @@ class Checker:
             if spec is not None:
                 nodes[name] = spec
 
+        # What others state has to be known first, whatever their order.
         facts: dict[str, Any] = {}
         for spec in nodes.values():
             facts |= spec.cls.facts(spec.settings)
@@ -175,7 +182,8 @@ class Checker:
         tables = read_tables(self.tree, "nodes", MAX_NODES, self.fault)
         for name in [*tables]:
             if name == LAUNCHER or name.startswith(LIVE_RECORDER):
-                problem = f"'{LAUNCHER}' and '{LIVE_RECORDER}...' are names of the launcher's own"
+                names = f"'{LAUNCHER}' and '{LIVE_RECORDER}...'"
+                problem = f"{names} are names of the launcher's own"
                 self.fault(("nodes", name), problem)
                 del tables[name]
         return tables
@@ -188,7 +196,9 @@ class Checker:
         from .body import expand, read_skin
 
         # A file that --set names is found from where the command was typed.
-        folder = Path() if (SKIN, "body") in self.overridden else self.folder
+        folder = self.folder
+        if (SKIN, "body") in self.overridden:
+            folder = Path()
         batches = read_skin(self.tree[SKIN], folder, self.fault)
         if not batches:
             raise LaunchError(self.errors[:MAX_ERRORS])
@@ -233,8 +243,11 @@ class Checker:
         value = toml_or_text(raw)
         place: tuple[str, ...] = (node, key)
         if part is not None:
+            # One value of a table: the others stay.
             table = tables[node].get(key)
-            value = {**(table if isinstance(table, dict) else {}), part: value}
+            if not isinstance(table, dict):
+                table = {}
+            value = {**table, part: value}
             # Tables of [graph] are checked as a whole.
             if node != GRAPH:
                 place = (node, key, part)
@@ -278,8 +291,10 @@ class Checker:
         """The settings of a node without the values that are faulty, each of which is noted; None
         where the node cannot be checked any further.
         """
-        fields = dataclasses.fields(cls.Settings)
-        deciding = [each.name for each in fields if each.metadata["range"].decides]
+        deciding = []
+        for each in dataclasses.fields(cls.Settings):
+            if each.metadata["range"].decides:
+                deciding.append(each.name)
         right = dict(values)
         decided = True
         while True:
@@ -347,12 +362,17 @@ class Checker:
         # The file has the table from which the nodes of a body are made.
         if place[0] == "nodes" and len(place) > 1:
             place = ("nodes", self.templates.get(place[1], place[1]), *place[2:])
-        stated = place if place[0] in (SKIN, GRAPH) else place[1:]
+        stated = place[1:]
+        if place[0] in (SKIN, GRAPH):
+            stated = place
         if stated in self.overridden:
             self.errors.append(f"{self.overridden[stated]}: {problem}")
             return
+        # A file that a program made, or a missing table, has no line.
         line = _line_of(self.text, place)
-        where = f"{self.title}:{line}" if line else self.title
+        where = self.title
+        if line:
+            where += f":{line}"
         key = ".".join(place)[:MAX_ERROR]
         self.errors.append(f"{where}: {key}: {one_line_of(problem)}")
         if len(self.errors) >= MAX_ERRORS:

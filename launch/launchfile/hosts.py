@@ -21,7 +21,9 @@ from sparseskin.nodes.settings import Settings, setting
 from .tables import Fault, bad_name, read_table, read_tables
 
 PORTS = range(1024, 65536)
+"""Ports that a program may bind without the rights of root."""
 MAX_HOSTS = 32
+"""Hosts of a graph; chosen: each node connects to all that it reads."""
 
 
 @dataclass(frozen=True)
@@ -97,7 +99,9 @@ def read_security(
     elif not hosts and bad_name(security.key):
         fault((*place, "key"), "expected the name of this graph's key, a text")
     # All hosts of the graph may read each other; a graph of one host is read with its own key.
-    allow = security.allow or tuple(host.key for host in hosts.values() if host.key)
+    allow = security.allow
+    if not allow:
+        allow = tuple(host.key for host in hosts.values() if host.key)
     if not allow and security.key:
         allow = (security.key,)
     keys = str(folder / security.keys)

@@ -41,7 +41,10 @@ def find_launch_file(name: str) -> Path:
     path = Path(name)
     if path.suffix == ".toml" or len(path.parts) > 1:
         if not path.is_file():
-            problem = "is no regular file" if path.exists() else "no such launch file"
+            problem = "no such launch file"
+            if path.exists():
+                # A pipe would be waited for.
+                problem = "is no regular file"
             raise LaunchError([f"{name}: {problem}"])
         return path
     if name not in bundled_names():

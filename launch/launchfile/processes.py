@@ -32,6 +32,7 @@ def by_process(specs: Iterable[NodeSpec]) -> list[list[NodeSpec]]:
     groups: dict[tuple[str, ...], list[NodeSpec]] = {}
     for spec in specs:
         key: tuple[str, ...] = (spec.process, spec.host)
+        # Without a process of a name, a node has one of its own.
         if not spec.process:
             key = ("", "", spec.name)
         groups.setdefault(key, []).append(spec)
@@ -73,10 +74,8 @@ def _check_same(leader: NodeSpec, spec: NodeSpec, fault: Fault) -> None:
         if value == of_process[key]:
             continue
         difference = f"{value!r} here, {of_process[key]!r} of {leader.name}"
-        fault(
-            ("nodes", spec.name, key),
-            f"{difference} in process {spec.process!r} (allowed: the same)",
-        )
+        problem = f"{difference} in process {spec.process!r} (allowed: the same)"
+        fault(("nodes", spec.name, key), problem)
 
 
 def _settings_of_process(spec: NodeSpec) -> dict[str, Any]:

@@ -108,10 +108,14 @@ class LaunchFile:
         elsewhere: dict[str, NodeSpec] = {}
         for name, spec in self.nodes.items():
             # A recorder that was asked for on the command line is of this host, too.
-            is_here = spec.host in ("", host_name)
-            (nodes if is_here else elsewhere)[name] = spec
-        links = self.links
-        links = [link for link in links if link.reader in nodes or link.writer in nodes]
+            if spec.host in ("", host_name):
+                nodes[name] = spec
+            else:
+                elsewhere[name] = spec
+        links = []
+        for link in self.links:
+            if link.reader in nodes or link.writer in nodes:
+                links.append(link)
 
         # One line for all nodes that state the same.
         refused: dict[str, list[str]] = {}
@@ -121,9 +125,10 @@ class LaunchFile:
             except SettingsError as error:
                 refused.setdefault(str(error), []).append(spec.name)
         if refused:
-            raise LaunchError(
-                [f"{self.title}: {', '.join(n)}: {e}" for e, n in refused.items()]
-            )
+            lines = []
+            for problem, names in refused.items():
+                lines.append(f"{self.title}: {', '.join(names)}: {problem}")
+            raise LaunchError(lines)
         return replace(
             self,
             nodes=nodes,

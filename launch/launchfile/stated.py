@@ -32,7 +32,9 @@ def as_words(text: str, word_of: Callable[[str], str]) -> str:
         if not begin.endswith("="):
             return begin.rstrip()
         # "--set unit=" alone would be read as an empty value.
-        return begin + ("N" if key in _NUMBERS else "TEXT")
+        if key in _NUMBERS:
+            return f"{begin}N"
+        return f"{begin}TEXT"
 
     def clause(match: re.Match[str]) -> str:
         return _KEY.sub(word, match[0])

@@ -62,10 +62,13 @@ def read_tables(
     for name, table in tables.items():
         if not isinstance(table, dict):
             fault((kind, name), f"expected a table [{kind}.{name}]")
-        elif why := bad_name(name):
-            fault((kind, name), why)
-        else:
-            good[name] = dict(table)
+            continue
+        reason = bad_name(name)
+        if reason:
+            fault((kind, name), reason)
+            continue
+        # A copy: --set and hosts change it, and the tree stays as it was read.
+        good[name] = dict(table)
     return good
 
 

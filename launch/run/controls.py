@@ -45,7 +45,9 @@ some seconds to make, compiled loops as long to compile, and more where the host
 MAX_OPEN = 256
 """Most requests without an answer."""
 MAX_CLIENTS = 32
+"""Most programs that are connected at once; a command is connected as long as it asks."""
 MAX_LINE_BYTES = 65536
+"""Longest request: settings may be tables of some hundred values."""
 
 
 class Requests:
@@ -62,6 +64,7 @@ class Requests:
 
     def take(self, request: Mapping[str, Any], reply: Reply) -> None:
         """Pass on one request {id, node, command, value}; the reply is called once."""
+        # Whatever a client sends is answered, and so named, by texts of a bounded length.
         stated = [request.get(key) for key in ("id", "node", "command")]
         number, node, command = map(str, stated)
         value = request.get("value")
@@ -81,6 +84,7 @@ class Requests:
         except RefusedError as error:
             say(False, str(error))
             return
+
         # Numbers of clients may be equal; towards the node each request has a key of its own.
         key = secrets.token_hex(8)
         self._open[key] = node, say, awake_s() + PATIENCE_S
@@ -203,6 +207,7 @@ class ControlServer:
             self._drop(client)
             return
         for line in lines:
+            # Anything may come: a deep nest of brackets makes the parser recurse.
             try:
                 request = json.loads(line)
             except (ValueError, RecursionError):
@@ -279,20 +284,22 @@ class LiveRecording:
             self._done(False, f"{out}: {reason}")
         elif event == "ended":
             self.out = None
+            # A recorder that was ended early has no report.
             recording = node.report.get("recording", {})
-            fault = recording.get("error")
             n_messages = recording.get("n_messages", 0)
             text = f"{out}: no message came, so there is no file"
             if n_messages:
                 text = f"{out}: {n_messages} messages recorded"
+            fault = recording.get("error")
             self._done(not fault, fault or text)
 
     def _begin(self) -> None:
         self._n += 1
         self.out = f"{self._launch.name}-{time.strftime('%Y%m%d-%H%M%S')}.mcap"
         self._node = f"{LIVE_RECORDER}{self._n}"
-        specs = self._launch.nodes.values()
-        topics = list(dict.fromkeys(topic for spec in specs for topic in spec.outputs))
+        topics: list[str] = []
+        for spec in self._launch.nodes.values():
+            topics += spec.outputs
         values = {
             "out": self.out,
             "topics": topics,
@@ -300,8 +307,8 @@ class LiveRecording:
             "source": self._launch.name,
         }
         try:
-            spec = single_node(self._node, "recorder", values).nodes[self._node]
-            self._fleet.add(spec, topics)
+            graph = single_node(self._node, "recorder", values)
+            self._fleet.add(graph.nodes[self._node], topics)
         except SparseskinError as error:
             self.out = None
             raise RefusedError(f"record: {error}") from error

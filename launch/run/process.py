@@ -39,7 +39,8 @@ class LogLines:
     def __init__(self) -> None:
         self._rest = b""
         self._since_s = float("-inf")
-        self._left = self._n_cut = 0
+        self._left = 0
+        self._n_cut = 0
 
     def take(self, chunk: bytes, now_s: float, at_end: bool = False) -> list[str]:
         """The lines that a chunk completes; at the end of the pipe, also one without an end."""
@@ -108,6 +109,7 @@ def start_process(
         with ExitStack() as inherited:
             pipes = [NodePipes(spec) for spec, _ in nodes]
             for each in pipes:
+                # This process must not hold them: their end is the end of the node.
                 inherited.callback(each.close_of_node)
             # Channel and log of the first node are those of the process.
             (channel, log), *channels = (each.of_node for each in pipes)
@@ -154,13 +156,16 @@ class NodeProcess:
         self._tally = pipes.tally
         self.endpoint = ""
         self.outputs = list(spec.outputs)
-        self.ready = self.ended = self.failed = False
+        self.ready = False
+        self.ended = False
+        self.failed = False
         self.compiled: tuple[int, int] | None = None
         """Numbers of loops that a node that starts has compiled, and of all; None: it does not."""
         self.lacks: list[str] = []
         self.heard: dict[str, bool] = {}
         self.clocks: dict[str, tuple[int, int]] = {}
-        self.line = self.refusal = ""
+        self.line = ""
+        self.refusal = ""
         self.state: dict[str, Any] = {}
         self.settings: dict[str, Any] = spec.settings.live_values()
         self.heard_s = awake_s()
@@ -192,12 +197,16 @@ class NodeProcess:
             return "starting"
         if awake_s() - self.heard_s > SILENT_S:
             return "not answering"
-        return "paused" if self.state.get("paused") else "running"
+        if self.state.get("paused"):
+            return "paused"
+        return "running"
 
     @property
     def said(self) -> str:
         """The last line of its log, while it is new."""
-        return self._said if awake_s() - self._said_s < NEW_S else ""
+        if awake_s() - self._said_s >= NEW_S:
+            return ""
+        return self._said
 
     @property
     def counts(self) -> dict[str, Any]:
@@ -245,7 +254,9 @@ class NodeProcess:
 
         if lines:
             self.heard_s = awake_s()
-        events = [_event(line.decode(errors="replace")) for line in lines or () if line]
+        events = []
+        for line in filter(None, lines or ()):
+            events.append(_event(line.decode(errors="replace")))
         return events, log
 
     def close(self) -> None:

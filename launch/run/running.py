@@ -77,9 +77,10 @@ class RunningGraph:
 
     def writers(self) -> dict[str, str]:
         """Name of the node that writes each topic."""
-        return {
-            topic: name for name, node in self.nodes.items() for topic in node.outputs
-        }
+        writers: dict[str, str] = {}
+        for name, node in self.nodes.items():
+            writers |= dict.fromkeys(node.outputs, name)
+        return writers
 
 
 def runtime_folder() -> Path:
@@ -194,10 +195,14 @@ def remove_files(pid: int) -> bool:
         # A process that ends removes its files, too.
         with contextlib.suppress(FileNotFoundError):
             is_socket = path.suffix == ".sock"
-            is_kind = stat.S_ISSOCK if is_socket else stat.S_ISREG
             if not of_launcher.fullmatch(path.name):
                 continue
-            if not is_kind(path.lstat().st_mode):
+            # A folder, or a link of somebody's, is not ours either.
+            mode = path.lstat().st_mode
+            is_ours = stat.S_ISREG(mode)
+            if is_socket:
+                is_ours = stat.S_ISSOCK(mode)
+            if not is_ours:
                 continue
             if is_socket and is_served(path):
                 served = True
@@ -249,8 +254,10 @@ def choose_graph(name: str | None, option: str = "--graph") -> RunningGraph:
         raise GraphError(f"{option} {name}: no such graph runs{hint}".strip())
     if len(matching) > 1:
         choices = ", ".join(graph.label for graph in matching)
-        which = f" with {option}" if option else ""
-        raise GraphError(f"several graphs run; choose one{which}: {choices}")
+        advice = "choose one"
+        if option:
+            advice += f" with {option}"
+        raise GraphError(f"several graphs run; {advice}: {choices}")
     return matching[0]
 
 

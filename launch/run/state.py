@@ -69,11 +69,15 @@ def _in_short(node: NodeProcess) -> dict[str, Any]:
     cls = node.spec.cls
     settings = node.spec.settings
     counts = node.counts
+    said = ""
+    if not cls.watches:
+        # The page itself shows what a monitor would say.
+        said = node.said
     return {
         "patch": getattr(settings, "patch", None),
         "patches": list(getattr(settings, "patches", ())),
         "refused": sum(counts.get("refused", {}).values()),
-        "said": node.said if not cls.watches else "",
+        "said": said,
         "compiled": node.compiled,
         "lost": sum(counts.get("lost", {}).values()),
         "settings": node.settings,
@@ -132,6 +136,7 @@ def hosts_state(
         return states
     for name in launch.hosts:
         if name != launch.host:
+            # Nothing is known until a node has read from there.
             states[name] = {
                 "heard": None,
                 "silent": [],
@@ -147,8 +152,10 @@ def hosts_state(
             state["heard"] = not state["silent"]
         # Of several nodes that read from a host, the most certain one counts.
         for host, (offset_ns, uncertainty_ns) in node.clocks.items():
-            uncertainty_ms = states[host]["clock_uncertainty_ms"]
-            if uncertainty_ms is None or uncertainty_ns / 1e6 < uncertainty_ms:
-                states[host]["clock_offset_ms"] = offset_ns / 1e6
-                states[host]["clock_uncertainty_ms"] = uncertainty_ns / 1e6
+            state = states[host]
+            uncertainty_ms = uncertainty_ns / 1e6
+            least_ms = state["clock_uncertainty_ms"]
+            if least_ms is None or uncertainty_ms < least_ms:
+                state["clock_offset_ms"] = offset_ns / 1e6
+                state["clock_uncertainty_ms"] = uncertainty_ms
     return states

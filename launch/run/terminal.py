@@ -97,7 +97,10 @@ class Terminal:
 
     def _erase(self) -> None:
         if self._live and self._status:
-            up = f"\x1b[{self._n_drawn - 1}A" if self._n_drawn > 1 else ""
+            # Back to the first line of the status; all from there on goes.
+            up = ""
+            if self._n_drawn > 1:
+                up = f"\x1b[{self._n_drawn - 1}A"
             self._write(f"\r{up}\x1b[J")
 
     def _draw(self) -> None:

@@ -28,10 +28,12 @@ def waits_for(node: NodeProcess, launch: LaunchFile) -> str:
         return f"{node.name} has not answered yet"
     hosts: dict[str, list[str]] = {}
     for reader in node.lacks:
-        spec = launch.elsewhere.get(reader)
-        place = f" on {spec.host}" if spec else ""
+        place = ""
+        if reader in launch.elsewhere:
+            place = f" on {launch.elsewhere[reader].host}"
         hosts.setdefault(place, []).append(reader)
-    readers = ", ".join(", ".join(names) + place for place, names in hosts.items())
+    of_hosts = [", ".join(names) + place for place, names in hosts.items()]
+    readers = ", ".join(of_hosts)
     return f"{node.name} waits for a subscription from {readers}"
 
 
@@ -47,7 +49,9 @@ def _waits_for_readers(node: NodeProcess, launch: LaunchFile) -> str:
     begun = any(n for topic, n in published.items() if not is_latched(topic))
     if not n_readers or begun or node.state.get("paused", True):
         return ""
-    readers = "a reader" if n_readers == 1 else f"{n_readers} readers"
+    readers = f"{n_readers} readers"
+    if n_readers == 1:
+        readers = "a reader"
     return (
         f"{node.name} waits for {readers}; from another terminal: "
         f"sparseskin monitor --graph {launch.name}, or sparseskin record --graph {launch.name}"

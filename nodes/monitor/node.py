@@ -129,7 +129,9 @@ class Monitor(Node[MonitorSettings]):
     def __init__(self, settings: MonitorSettings, context: Context) -> None:
         super().__init__(settings, context)
         # A monitor that joins late states from when its figures are.
-        since_ns = context.clock.now_ns() if context.late else None
+        since_ns = None
+        if context.late:
+            since_ns = context.clock.now_ns()
         self._groups = settings.groups
         self._patches: dict[str, PatchMetrics] = {}
         for group, names in self._groups.items():
@@ -178,7 +180,9 @@ class Monitor(Node[MonitorSettings]):
 
     def start(self) -> Iterable[Message]:
         # Without a launcher nobody answers a page: there is none then.
-        ask = self.context.ask if self.settings.page else None
+        ask = None
+        if self.settings.page:
+            ask = self.context.ask
         if ask is None and not self.settings.screen:
             return ()
 
@@ -195,7 +199,9 @@ class Monitor(Node[MonitorSettings]):
         from .live.server import PageServer
 
         port = self.settings.port
-        token = self.context.page_token if self.settings.token else ""
+        token = ""
+        if self.settings.token:
+            token = self.context.page_token
         self._page = PageServer(feed, self._notices, port, ask, token)
         line = f"live page: {self._page.url}"
         if port not in (0, self._page.port):
@@ -284,11 +290,14 @@ class Monitor(Node[MonitorSettings]):
             parts = [{name: metrics} for name, metrics in self._patches.items()]
         lines = []
         for patches in parts:
+            # Frames since the last line, of a patch in the mean.
             n_new = 0
             for name, metrics in patches.items():
-                n_new += metrics.reconstructed - self._status_frames[name]
+                n_new += metrics.reconstructed
+                n_new -= self._status_frames[name]
             rate_hz = n_new / seconds / len(patches)
             lines.append(status_line(patches, rate_hz))
+
         for name, metrics in self._patches.items():
             self._status_frames[name] = metrics.reconstructed
         return "\n".join(lines)
@@ -317,8 +326,12 @@ class Monitor(Node[MonitorSettings]):
 
 def check_pose(place: str, pose: object) -> None:
     """Raise SettingsError unless this is x, y, z in mm and three angles in degrees."""
-    values = list(pose) if isinstance(pose, list | tuple) else []
-    if len(values) != 6 or not all(is_real(value, -1e6, 1e6) for value in values):
+    values: list[Any] = []
+    if isinstance(pose, list | tuple):
+        values = list(pose)
+    # Beyond a kilometre, or many turns, it is rather a mistake than a place on a robot.
+    are_numbers = all(is_real(value, -1e6, 1e6) for value in values)
+    if len(values) != 6 or not are_numbers:
         expected = "expected [x, y, z, roll, pitch, yaw], in mm and degrees"
         raise SettingsError(f"{place}: {expected}, got {pose!r:.80}")
 
@@ -340,8 +353,13 @@ def _published_frames(
     measured = topic_of(group, Measurements.schema)
     answered = topic_of(group, Reconstruction.schema)
     # A compressor outside the graph publishes no taxels.
-    sensed = taxels if taxels in counts_of else measured
-    needed = {sensed, answered} if again else {sensed}
+    sensed = measured
+    if taxels in counts_of:
+        sensed = taxels
+    needed = {sensed}
+    if again:
+        # The monitor that was started again has counted only its own part of the answers.
+        needed.add(answered)
     if not needed <= counts_of.keys():
         return frames
 
@@ -367,4 +385,5 @@ def _topics(
 
 def _clock_of(context: Context, group: str, topic: str) -> ClockEstimate | None:
     """Clock of the publisher of a topic of a batch, or patch, by that of one of its patches."""
-    return context.clock_of(topic_of(group, split_topic(topic)[1]))
+    _, schema = split_topic(topic)
+    return context.clock_of(topic_of(group, schema))

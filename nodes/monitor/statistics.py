@@ -12,6 +12,7 @@ SPAN_S = 60.0
 """Time that the charts of a page show."""
 COLUMNS = ("time_s", "psnr_noisy_db", "psnr_db", "latency_ms", "solve_ms", "lost")
 MIN_CAPACITY = 2048
+"""Rows that stay however old they are: a chart of a slow stream is not to be nearly empty."""
 MAX_CAPACITY = 1 << 17
 """60 s at 2.2 kHz; of a faster stream less than 60 s is kept."""
 
@@ -54,6 +55,7 @@ class Quantiles:
     _WIDTH = math.log(1.005)
 
     def __init__(self) -> None:
+        # 4157 bins are 33 kB: every patch has two histograms.
         span = math.log(self._HIGH_NS / self._LOW_NS)
         n_bins = math.ceil(span / self._WIDTH)
         self._bins = np.zeros(n_bins, np.int64)
@@ -61,23 +63,29 @@ class Quantiles:
     def add(self, duration_ns: float) -> None:
         # Shorter durations count in the first bin, longer ones in the last.
         bounded_ns = max(duration_ns, self._LOW_NS)
-        k = int(math.log(bounded_ns / self._LOW_NS) / self._WIDTH)
+        n_widths = math.log(bounded_ns / self._LOW_NS) / self._WIDTH
         k_last = len(self._bins) - 1
-        self._bins[min(k, k_last)] += 1
+        k = min(int(n_widths), k_last)
+        self._bins[k] += 1
 
     def quantile_ms(self, q: float) -> float:
         """The smallest duration in ms that at least the fraction q of all do not exceed."""
         cumulative = np.cumsum(self._bins)
-        k = int(np.searchsorted(cumulative, q * cumulative[-1], side="left"))
+        rank = q * cumulative[-1]
+        k = int(np.searchsorted(cumulative, rank, side="left"))
         # The middle of the bin, on the logarithmic scale.
-        middle_ns = self._LOW_NS * math.exp((k + 0.5) * self._WIDTH)
+        n_widths = k + 0.5
+        middle_ns = self._LOW_NS * math.exp(n_widths * self._WIDTH)
         return middle_ns / 1e6
 
     def summary(self) -> dict[str, float] | None:
         """{p50, p99} in ms; None without durations."""
         if not self._bins.any():
             return None
-        return {"p50": self.quantile_ms(0.5), "p99": self.quantile_ms(0.99)}
+        return {
+            "p50": self.quantile_ms(0.5),
+            "p99": self.quantile_ms(0.99),
+        }
 
 
 class History:

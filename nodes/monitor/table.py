@@ -47,11 +47,16 @@ def status_line(patches: Mapping[str, PatchMetrics], rate_hz: float) -> str:
     if len(metrics) > 1:
         parts.append(f"idle {sum(m.idle for m in metrics)}")
     noisy_db = [m.noisy.contact.mean for m in metrics if m.noisy.contact.count]
-    parts += _accuracy(metrics, "" if noisy_db else " to taxels")
+    to_what = " to taxels"
+    if noisy_db:
+        # The truth is known: PSNR is to it.
+        to_what = ""
+    parts += _accuracy(metrics, to_what)
     if not is_late:
         parts += latency
     if noisy_db:
-        parts.append(f"taxels {sum(noisy_db) / len(noisy_db):.1f} dB")
+        mean_db = sum(noisy_db) / len(noisy_db)
+        parts.append(f"taxels {mean_db:.1f} dB")
     since = _since(metrics[0].since_ns).strip()
     if since:
         parts.append(since)
@@ -69,16 +74,17 @@ def _progress(patches: Mapping[str, PatchMetrics], rate_hz: float) -> str:
     if len(metrics) > 1:
         name = f"{len(metrics)} patches"
         # One rate stands for all: patches of a graph are sensed together.
-        asked_hz = max(
-            (m.skin.rate_hz for m in metrics if m.skin is not None), default=0.0
-        )
+        rates_hz = [m.skin.rate_hz for m in metrics if m.skin is not None]
+        asked_hz = max(rates_hz, default=0.0)
         if asked_hz:
             rate = f"{rate_hz:.0f} of {asked_hz:g} Hz"
-        rate += f", skipped {max(m.skipped for m in metrics)}"
+        n_skipped = max(m.skipped for m in metrics)
+        rate += f", skipped {n_skipped}"
     text = f"{name}: {n_frames} frames, {rate}, lost {n_lost}"
 
     # No frame is lost in a queue, but it ages there.
-    age_ms = max((m.latency_ns or 0) for m in metrics) / 1e6
+    ages_ns = [m.latency_ns or 0 for m in metrics]
+    age_ms = max(ages_ns) / 1e6
     if age_ms >= QUEUED_MS:
         text += f", newest {age_ms / 1e3:.1f} s old"
     return text
@@ -86,15 +92,21 @@ def _progress(patches: Mapping[str, PatchMetrics], rate_hz: float) -> str:
 
 def _accuracy(patches: Sequence[PatchMetrics], to_what: str) -> Iterator[str]:
     """Mean PSNR of contact frames and the share that the solver trusts, where there are any."""
-    psnr_db = [
-        m.reconstruction.contact.mean for m in patches if m.reconstruction.contact.count
-    ]
+    psnr_db = []
+    for metrics in patches:
+        in_contact = metrics.reconstruction.contact
+        if in_contact.count:
+            psnr_db.append(in_contact.mean)
     if psnr_db:
-        yield f"PSNR{to_what} {sum(psnr_db) / len(psnr_db):.1f} dB"
+        mean_db = sum(psnr_db) / len(psnr_db)
+        yield f"PSNR{to_what} {mean_db:.1f} dB"
+
     trust = [m.trust.contact for m in patches if m.trust.contact.count]
     if trust:
+        # A trusted frame counts 1, any other 0.
         n_trusted = sum(extent.total for extent in trust)
-        share = n_trusted / sum(extent.count for extent in trust)
+        n_frames = sum(extent.count for extent in trust)
+        share = n_trusted / n_frames
         yield f"trusted {share_of(share)}"
 
 
@@ -116,8 +128,12 @@ def _contacts(patches: Sequence[PatchMetrics]) -> list[str]:
 
 def _latency(patches: Sequence[PatchMetrics]) -> tuple[list[str], float]:
     """Latency of the slowest patch as text and its median; none where it is unknown."""
-    quantiles = [(m.latency.summary(), m.latency_uncertainty_ns) for m in patches]
-    stated = [(q["p50"], q["p99"], within_ns) for q, within_ns in quantiles if q]
+    stated = []
+    for metrics in patches:
+        quantiles = metrics.latency.summary()
+        if quantiles is not None:
+            within_ns = metrics.latency_uncertainty_ns
+            stated.append((quantiles["p50"], quantiles["p99"], within_ns))
     if not stated:
         return [], 0.0
     p50_ms, p99_ms, within_ns = max(stated, key=lambda latency: latency[:2])
@@ -148,12 +164,15 @@ def doubts_text(patches: Iterable[Mapping[str, Any]]) -> str:
     counts: Counter[str] = Counter()
     for patch in judged:
         counts.update(patch["doubts"])
-    are = "is" if n_untrusted == 1 else "are"
+    are = "are"
+    if n_untrusted == 1:
+        are = "is"
     text = f"{n_untrusted} of {n_frames} frames {are} in doubt{_reasons(counts)}."
     if counts[Reason.ERROR]:
-        all_rotate = all(patch["rows"] == "rotating" for patch in judged)
-        rotate = "" if all_rotate else " or rotating rows"
-        text += f" If the error lasts, more measurements{rotate} may help."
+        remedy = "more measurements"
+        if any(patch["rows"] != "rotating" for patch in judged):
+            remedy += " or rotating rows"
+        text += f" If the error lasts, {remedy} may help."
     return textwrap.fill(text, WIDTH)
 
 
@@ -163,7 +182,9 @@ def _reasons(counts: Counter[str]) -> str:
         return "".join(f": {phrase_of(word)}" for word in counts)
     text = ""
     for word, count in counts.most_common():
-        frames = "frame" if count == 1 else "frames"
+        frames = "frames"
+        if count == 1:
+            frames = "frame"
         text += f"; in {count} {frames}: {phrase_of(word)}"
     return text
 
@@ -174,8 +195,10 @@ def patch_table(name: str, patch: Mapping[str, Any]) -> str:
     frames = patch["frames"]
     # A table of nothing would be all dashes.
     if not frames["sensed"] and not frames["reconstructed"]:
-        scene = "" if patch["scene"] == NONE else f"{patch['scene']}: "
-        return f"{printable(name)}: {scene}ended before the first frame"
+        label = printable(name)
+        if patch["scene"] != NONE:
+            label += f": {patch['scene']}"
+        return f"{label}: ended before the first frame"
 
     rows = [f" {printable(name)}: {patch['scene']} ".center(WIDTH, "=")]
     if patch["changes"]:
@@ -242,6 +265,7 @@ def _solver_text(patch: Mapping[str, Any]) -> str:
 
 
 def _bytes_text(patch: Mapping[str, Any]) -> str:
+    # None come in where frames are compressed outside the graph.
     n_in = patch["bytes_in"]
     n_out = patch["bytes_out"]
     text = f"measurements {n_out:,}"
@@ -278,7 +302,10 @@ def _score_rows(patch: Mapping[str, Any]) -> Iterator[str]:
 
     frames_of = {"all": "all frames", "contact": "contact frames"}
     for label, extents in scores.items():
-        form = ".3f" if label == "relative error" else ".1f"
+        form = ".1f"
+        if label == "relative error":
+            # A share of the force, and no decibels.
+            form = ".3f"
         for which, extent in extents.items():
             if extent not in (None, NONE):
                 yield f"{label:<24}{frames_of[which]:<17}{_figures(extent, form)}"
@@ -304,9 +331,12 @@ def _many_table(graph: str, patches: Mapping[str, Mapping[str, Any]]) -> str:
         frames = patch["frames"]
         psnr_db = patch["psnr_db"]["reconstruction"]
         n_frames = frames["reconstructed"]
+        # None of a patch that was never touched, or has no reference.
         mean_db = {k: extent and extent["mean"] for k, extent in psnr_db.items()}
         latency_ms = patch["latency_ms"] or {}
-        idle = f"{100 * patch['unchanged'] / n_frames:.0f} %" if n_frames else NONE
+        idle = NONE
+        if n_frames:
+            idle = f"{100 * patch['unchanged'] / n_frames:.0f} %"
         rows.append(
             f"{printable(name)[:12]:<12}{n_frames:>8}{frames['skipped']:>8}{frames['lost']:>6}"
             f"{idle:>7}"
@@ -320,7 +350,8 @@ def _many_table(graph: str, patches: Mapping[str, Mapping[str, Any]]) -> str:
         for key in ("sensed", "reconstructed", "skipped", "lost")
     }
     total["unchanged"] = sum(patch["unchanged"] for patch in patches.values())
-    rows.append(f"{'all':<12}" + ", ".join(f"{key} {n}" for key, n in total.items()))
+    totals = ", ".join(f"{key} {n}" for key, n in total.items())
+    rows.append(f"{'all':<12}{totals}")
     rows.append("=" * WIDTH)
     return "\n".join(rows)
 
@@ -342,7 +373,8 @@ def _changes(changes: Sequence[Mapping[str, Any]]) -> str:
 def _figures(extent: Mapping[str, float], form: str) -> str:
     """Mean, minimum and maximum; of trust the share, and the number of the others."""
     if "trusted_share" not in extent:
-        return "".join(f"{extent[key]:>8{form}}" for key in ("mean", "min", "max"))
+        figures = [extent[key] for key in ("mean", "min", "max")]
+        return "".join(f"{figure:>8{form}}" for figure in figures)
     share = share_of(extent["trusted_share"])
     return f"{share:>8}   ({extent['untrusted']} of {extent['frames']} not)"
 
@@ -350,7 +382,9 @@ def _figures(extent: Mapping[str, float], form: str) -> str:
 def share_of(share: float) -> str:
     """A share in %; 100 % and 0 % only where it is exactly that."""
     if 0 < share < 1:
-        return f"{min(max(100 * share, 0.1), 99.9):.1f} %"
+        # Rounded, 99.97 % would pass for all.
+        percent = min(max(100 * share, 0.1), 99.9)
+        return f"{percent:.1f} %"
     return f"{100 * share:.0f} %"
 
 
@@ -364,6 +398,7 @@ def shown(value: float | str | None, form: str) -> str:
 
 
 def _times(quantiles: Mapping[str, float] | str) -> str:
+    # "-" where they are not known.
     if isinstance(quantiles, str):
         return f"p50 {quantiles}, p99 {quantiles}"
     return f"p50 {quantiles['p50']:.2f} ms, p99 {quantiles['p99']:.2f} ms"

@@ -197,7 +197,8 @@ class Feed:
         feed.contacts = contacts
         if contacts.events is not None:
             # One row for the frame, with the number of each kind.
-            counts = np.bincount(contacts.events[:, 2], minlength=len(EVENTS))
+            kinds = contacts.events[:, 2]
+            counts = np.bincount(kinds, minlength=len(EVENTS))
             feed.events.add(now_s, *counts.tolist())
         # Earlier ones are shown with the frame that they belong to.
         if contacts.stamp_ns == feed.stamp_ns:
@@ -205,9 +206,10 @@ class Feed:
 
     def _add_frame(self, feed: PatchFeed, frame: FrameMetrics, now_s: float) -> None:
         messages = (frame.taxels, frame.reconstruction, frame.truth)
-        feed.maps = {
-            each.schema: known_forces(each) for each in messages if each is not None
-        }
+        feed.maps = {}
+        for each in messages:
+            if each is not None:
+                feed.maps[each.schema] = known_forces(each)
         if frame.reconstruction is not None:
             feed.idle = frame.reconstruction.unchanged[0]
             feed.note(frame.reconstruction, now_s)
@@ -215,7 +217,9 @@ class Feed:
         feed.came_s.update(dict.fromkeys(feed.maps, now_s))
         feed.lost = frame.lost
         feed.ended = False
-        figures = [getattr(frame, name) for name in COLUMNS[1:]]
+        # The first column is the time.
+        names = COLUMNS[1:]
+        figures = [getattr(frame, name) for name in names]
         feed.history.add(now_s, *figures)
         self._show(feed)
 
@@ -225,7 +229,9 @@ class Feed:
         nodes = (self.graph or {}).get("nodes", [])
         # Only sources can be paused: the others wait for them.
         sources = [node for node in nodes if "pause" in node["commands"]]
-        return bool(sources) and all(node["state"].get("paused") for node in sources)
+        if not sources:
+            return False
+        return all(node["state"].get("paused") for node in sources)
 
     def pulse(self) -> None:
         """Note that the monitor's own loop is alive."""
@@ -277,7 +283,10 @@ class Feed:
         now_s = time.monotonic()
         self.graph = graph
         self.graph_came_s = now_s
-        self.start = None if self._has_started else Start.of_nodes(graph["nodes"])
+        # A node that is started again is no start of the graph.
+        self.start = None
+        if not self._has_started:
+            self.start = Start.of_nodes(graph["nodes"])
         self._has_started = self.start is None
         if was_paused and not self.paused:
             # No frame could have come until now.

@@ -75,7 +75,8 @@ class Notices:
         elif was_restarted:
             yield NOTE, f"{name} was restarted."
 
-        if self._risen(f"refused {name}", node["refused"], now_s) and node["refusal"]:
+        n_refused = self._risen(f"refused {name}", node["refused"], now_s)
+        if n_refused and node["refusal"]:
             yield BAD, f"{name} rejects messages: {node['refusal']}"
         if node["said"] and condition != "starting":
             yield NOTE, f"{name} reports: {node['said']}"
@@ -97,7 +98,9 @@ class Notices:
             yield BAD, f"{late}: the graph cannot keep up."
         n_lost = self._risen(f"lost {name}", patch.lost, now_s)
         if n_lost:
-            frames = "frames" if n_lost > 1 else "frame"
+            frames = "frame"
+            if n_lost > 1:
+                frames = "frames"
             yield BAD, f"{n_lost} {frames} lost just now."
 
     def _risen(self, name: str, count: int, now_s: float) -> int:

@@ -263,8 +263,9 @@ class _Handler(BaseHTTPRequestHandler):
 
     def _get(self, url: SplitResult) -> None:
         if url.path == "/stream":
-            patches = parse_qs(url.query).get("patch", [])
-            self._stream(patches[0] if patches else None)
+            # None: the overview of all patches.
+            (patch, *_) = parse_qs(url.query).get("patch", [None])
+            self._stream(patch)
         elif url.path in self.server.files:
             body, kind = self.server.files[url.path]
             self._send(HTTPStatus.OK, body, kind)
