@@ -25,9 +25,8 @@ def describe(graph: RunningGraph, node: str | None = None) -> dict[str, Any]:
     Raises GraphError if the graph does not answer.
     """
     with closing(ControlClient(graph.control)) as client:
-        described: dict[str, Any] = _exchange(
-            graph, client, {"describe": node}, "description"
-        )
+        request = {"describe": node}
+        described: dict[str, Any] = _exchange(graph, client, request, "description")
         return described
 
 
@@ -56,6 +55,7 @@ def topics_of(described: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
             topic = topics.setdefault(entry["topic"], _unread_topic(entry))
             topic["publisher"] = node["name"]
             topic["sent"] = entry["sent"]
+    # Then who reads them; a topic that is published on another host has no output here.
     for node in described["nodes"]:
         for entry in node["inputs"]:
             topic = topics.setdefault(entry["topic"], _unread_topic(entry))

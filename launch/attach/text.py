@@ -57,7 +57,8 @@ def table(
     # Flush right where all cells of a column are numbers.
     columns = []
     for k, title in enumerate(head):
-        longest = max([len(title), *(len(line[k]) for line in texts)])
+        lengths = [len(line[k]) for line in texts]
+        longest = max([len(title), *lengths])
         is_right = bool(rows) and all(_is_number(row[k]) for row in rows)
         columns.append((longest, is_right))
 
@@ -65,7 +66,10 @@ def table(
     for cells in [list(head), *texts]:
         padded = []
         for cell, (longest, is_right) in zip(cells, columns, strict=True):
-            padded.append(cell.rjust(longest) if is_right else cell.ljust(longest))
+            if is_right:
+                padded.append(cell.rjust(longest))
+            else:
+                padded.append(cell.ljust(longest))
         start = indent + "".join(cell + GAP for cell in padded[:-1])
         _, is_right = columns[-1]
         if is_right:
@@ -98,9 +102,10 @@ def wrapped(start: str, text: str, continued: str | None = None) -> list[str]:
         continued = " " * len(start)
     # The longer of both begins leaves the narrower column.
     room = max(MIN_LAST, width() - max(len(start), len(continued)))
-    lines = textwrap.wrap(
-        text, room, break_on_hyphens=False, break_long_words=False
-    ) or [""]
+    # A command or a path is to be copied: it is not broken.
+    lines = textwrap.wrap(text, room, break_on_hyphens=False, break_long_words=False)
+    if not lines:
+        return [start.rstrip()]
     begin = (start + lines[0]).rstrip()
     return [begin, *(continued + line for line in lines[1:])]
 
@@ -119,8 +124,9 @@ def shown_value(value: Any) -> str:
         return "none"
     text = json.dumps(value)
     if isinstance(value, str):
-        if value.count("\n") > 1:
-            return f"({value.count(chr(10))} lines: param get prints them)"
+        n_lines = value.count("\n")
+        if n_lines > 1:
+            return f"({n_lines} lines: param get prints them)"
         # Without quotes, where these are not needed to see where it begins and ends.
         if value and value.isprintable() and value == value.strip():
             text = value

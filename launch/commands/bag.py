@@ -36,7 +36,7 @@ from .options import (
 if TYPE_CHECKING:
     from sparseskin.nodes.recorder.bag.reader import BagReader
 
-_MAX_SHOWN = 2000
+_MAX_SHOWN = 2000  # some 25 lines
 """Characters of one value that the table shows at most."""
 _OF_TOPIC = ("schema", "version", "n_messages", "first_ns", "last_ns", "rate_hz")
 
@@ -167,7 +167,8 @@ def _import(arguments: argparse.Namespace) -> int:
 
     # Names are checked before the first file is read.
     names = [f"{file.stem}{FILE_SUFFIX}" for file in arguments.files]
-    bags = [Path(name) for name in bag_names(names, arguments.out)]
+    outs = bag_names(names, arguments.out)
+    bags = [Path(out) for out in outs]
     # One layout for all files: they are of one skin.
     layout = layout_of(arguments)
     channels = [channel for channel in arguments.keep.split(",") if channel]
@@ -210,8 +211,10 @@ def _export(arguments: argparse.Namespace) -> int:
     if len(arguments.bags) > 1 and not export.several:
         raise BagError(f"{arguments.bags[1]}: --to {arguments.to} takes one recording")
     with ExitStack() as stack:
-        bags = [stack.enter_context(BagReader(path)) for path in arguments.bags]
-        for bag in bags:
+        bags = []
+        for path in arguments.bags:
+            bag = stack.enter_context(BagReader(path))
+            bags.append(bag)
             # What a broken recording lacks is said before its frames are exported.
             if bag.recovered:
                 print(f"{bag.path}: {bag.recovered}", file=sys.stderr)
@@ -268,10 +271,12 @@ def info_document(bag: "BagReader") -> dict[str, Any]:
 def info_lines(bag: "BagReader") -> list[str]:
     """The same for a terminal, long values cut."""
     n_messages = sum(info.n_messages for info in bag.topics.values())
+    size = size_text(bag.path.stat().st_size)
+    duration_s = _seconds(span_ns(bag.topics.values()))
     properties = {
         "recording": str(bag.path),
-        "size": f"{size_text(bag.path.stat().st_size)}, {n_messages} messages",
-        "duration": f"{_seconds(span_ns(bag.topics.values())):.3f} s",
+        "size": f"{size}, {n_messages} messages",
+        "duration": f"{duration_s:.3f} s",
         "state": bag.recovered or "whole",
     }
     lines = [*facts(properties), ""]
@@ -282,7 +287,9 @@ def info_lines(bag: "BagReader") -> list[str]:
         )
 
     # Names and texts of these are of the file, and may be long.
-    states = {topic: _state_text(state) for topic, state in _states(bag).items()}
+    states = {}
+    for topic, state in _states(bag).items():
+        states[topic] = _state_text(state)
     metadata = {key: value for key, value in bag.metadata.items() if value}
     return [*lines, "", *_entries(states), *_entries(metadata)]
 
@@ -295,7 +302,9 @@ def _topic_rows(bag: "BagReader") -> list[list[Any]]:
         lost = bag.counts.get("lost", {})
     rows = []
     for topic, info in bag.topics.items():
-        n_lost = lost.get(topic, 0) if isinstance(lost, dict) else None
+        n_lost = None
+        if isinstance(lost, dict):
+            n_lost = lost.get(topic, 0)
         seconds = _seconds((info.first_ns, info.last_ns))
         rows.append([info.n_messages, info.rate_hz or None, seconds, n_lost, topic])
     return rows

@@ -115,7 +115,10 @@ def _labels(graphs: Sequence["RunningGraph"]) -> list[str]:
     labels = []
     for graph in graphs:
         is_unique = names.count(graph.name) == 1
-        labels.append(graph.name if is_unique else graph.label)
+        label = graph.label
+        if is_unique:
+            label = graph.name
+        labels.append(label)
     return labels
 
 
@@ -138,6 +141,7 @@ def _parameters(metavar: str, typed: argparse.Namespace) -> Words:
             for entry in entries
             if entry["live"] or not is_set
         }
+
     words: list[str] = []
     for entry in entries:
         if entry["key"] == typed.key:
@@ -163,6 +167,7 @@ def _overrides(prefix: str, types: Mapping[str, str]) -> Words:
         fitting = [name for name in types if name == node]
     else:
         fitting = [name for name in types if name.startswith(node)]
+    # Of several the shell shows the names; of one it goes on to its keys.
     if len(fitting) != 1:
         return {f"{name}.": types[name] for name in fitting}
 

@@ -49,7 +49,9 @@ def _list_graphs(arguments: argparse.Namespace) -> int:
     described = []
     for graph in graphs:
         nodes = list(graph.nodes)
-        rows.append([graph.name, graph.pid, ", ".join(nodes) or "(starting)"])
+        names = ", ".join(nodes)
+        # A graph that starts has stated none yet.
+        rows.append([graph.name, graph.pid, names or "(starting)"])
         described.append(
             {
                 "name": graph.name,
@@ -129,10 +131,12 @@ def _info(arguments: argparse.Namespace) -> int:
 def _process_figures(pid: int) -> dict[str, float]:
     """Time on a processor, seconds and % of the age, and memory of a process, MB."""
     used_s = cpu_s(pid)
+    percent = 100 * used_s / age_s(pid)
+    memory_mb = resident_bytes(pid) / 1e6
     return {
         "cpu_s": used_s,
-        "cpu_percent": round(100 * used_s / age_s(pid), 1),
-        "memory_mb": round(resident_bytes(pid) / 1e6, 1),
+        "cpu_percent": round(percent, 1),
+        "memory_mb": round(memory_mb, 1),
     }
 
 
@@ -164,7 +168,8 @@ def _node_properties(node: dict[str, Any]) -> dict[str, str]:
         properties["reports"] = node["line"]
     if node["refused"]:
         # Refused messages by their reason.
-        counts = ", ".join(f"{reason} {n}" for reason, n in node["refused"].items())
+        by_reason = [f"{reason} {n}" for reason, n in node["refused"].items()]
+        counts = ", ".join(by_reason)
         properties["refused"] = f"{counts}; the last: {node['refusal']}"
     return properties
 
@@ -181,10 +186,15 @@ def _node_tables(node: dict[str, Any]) -> dict[tuple[str, ...], list[list[Any]]]
     settings = []
     preset = preset_of(node["settings"])
     for entry in node["settings"]:
-        mark = "live" if entry["live"] else ""
+        mark = ""
+        if entry["live"]:
+            # It can be set while the graph runs.
+            mark = "live"
         value = shown_value(entry["value"]) + in_force_text(entry, preset)
         settings.append([entry["key"], mark, value])
-    state = [[key, shown_value(value)] for key, value in node["state"].items()]
+    state = []
+    for key, value in node["state"].items():
+        state.append([key, shown_value(value)])
     commands = [list(command) for command in node["commands"].items()]
     return {
         ("INPUT", "FROM", *(count.upper() for count in COUNTED)): inputs,
@@ -240,7 +250,9 @@ def _node_lines(name: str, entries: list[dict[str, Any]]) -> list[str]:
     preset = preset_of(entries)
     lines = [f"{name} (* can be set while the graph runs)"]
     for entry in entries:
-        mark = "*" if entry["live"] else " "
+        mark = " "
+        if entry["live"]:
+            mark = "*"
         start = f"{mark} {entry['key']:<{widest}} = "
         value = flowing(shown_value(entry["value"]) + in_force_text(entry, preset))
         lines += wrapped(start, f"{value}   ({allowed_text(entry)})")
@@ -260,7 +272,8 @@ def _get(arguments: argparse.Namespace) -> int:
     # A text is printed as it is, for a script to use.
     text = entries[key]["value"]
     if not isinstance(text, str):
-        text = shown_value(text) + in_force_text(entries[key], preset_of(settings))
+        text = shown_value(text)
+        text += in_force_text(entries[key], preset_of(settings))
     document = {"node": node, **entries[key]}
     return show(arguments, "param-get", document, map(printable, text.split("\n")))
 

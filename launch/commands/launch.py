@@ -218,7 +218,9 @@ def _run(launch: "LaunchFile", arguments: argparse.Namespace) -> int:
         print(f"logs of the nodes: {run_log.folder}", file=sys.stderr)
     if code == 0 and launch.name in bundled_names() and sys.stderr.isatty():
         # As it was started here: it may not be on the path.
-        program = "sparseskin" if shutil.which("sparseskin") else sys.argv[0]
+        program = sys.argv[0]
+        if shutil.which("sparseskin"):
+            program = "sparseskin"
         print(NEXT.format(program, launch.name), file=sys.stderr)
     for name, patch in sensed.items():
         # A graph whose frames are all lost has not done its work.

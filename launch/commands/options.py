@@ -90,7 +90,9 @@ def add_layout(parser: argparse.ArgumentParser, but: Sequence[str] = ()) -> None
         if key in but:
             continue
         # Options that few people need are left out of the short help.
-        group = parser if key in USUAL_KEYS else rarely_used
+        group: argparse._ActionsContainer = rarely_used
+        if key in USUAL_KEYS:
+            group = parser
         # The first clause is enough for a line of help.
         about = entry["doc"].partition(";")[0]
         group.add_argument(_option_of(key), default=None, help=about, **_kind_of(entry))
@@ -217,7 +219,9 @@ def check_summary(path: Path | None) -> None:
     if not folder.is_dir():
         raise OutputError(f"--summary {path}: {NO_FOLDER}")
     # A new file needs the right to write to its folder.
-    written = path if path.exists() else folder
+    written = folder
+    if path.exists():
+        written = path
     if not os.access(written, os.W_OK):
         raise OutputError(f"--summary {path}: {NO_WRITING}")
 
@@ -265,7 +269,9 @@ def _end_lines(name: str, node: Mapping[str, Any]) -> Iterator[str]:
     # What went wrong comes before what was done.
     n_restarts = node.get("restarts", 0)
     if n_restarts:
-        times = "time" if n_restarts == 1 else "times"
+        times = "times"
+        if n_restarts == 1:
+            times = "time"
         failure = printable(node["failures"][-1])
         yield f"{name}: restarted {n_restarts} {times} after a failure; the last: {failure}"
     for line in node.get("lines", ()):
@@ -333,16 +339,19 @@ def show(
 
 def whole(low: int, high: int | None = None) -> Callable[[str], int]:
     """The type of an option: a whole number of at most 15 digits, `low` or more, up to `high`."""
-    allowed = f"{low} or more" if high is None else f"{low}..{high}"
+    allowed = f"{low} or more"
+    if high is not None:
+        allowed = f"{low}..{high}"
 
     def read(text: str) -> int:
         # int() would also read other digits, spaces and underscores.
         is_number = text.isascii() and text.isdigit() and len(text) < 16
-        if not is_number or int(text) < low or (high is not None and int(text) > high):
+        number = int(text) if is_number else -1
+        if number < low or (high is not None and number > high):
             raise argparse.ArgumentTypeError(
                 f"{text!r}: expected a whole number, {allowed}"
             )
-        return int(text)
+        return number
 
     return read
 
@@ -355,7 +364,9 @@ def real(above_0: bool) -> Callable[[str], float]:
             value = float(text)
             if 0 <= value < math.inf and (value or not above_0):
                 return value
-        allowed = "a number above 0" if above_0 else "a number, 0 or more"
+        allowed = "a number, 0 or more"
+        if above_0:
+            allowed = "a number above 0"
         raise argparse.ArgumentTypeError(f"{text!r}: expected {allowed}")
 
     return read

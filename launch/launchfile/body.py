@@ -30,7 +30,7 @@ from .tables import Fault, bad_name, read_table
 SKIN = "skin"
 """Name of the table."""
 MAX_BODY = 4096
-"""Most patches of a body; chosen: a humanoid robot has some hundred."""
+"""Most patches of a body; chosen."""
 BODY_KEYS = ("patches", "description")
 """Keys of a body file."""
 _OF_SKIN = (

@@ -55,7 +55,7 @@ class Quantiles:
     _WIDTH = math.log(1.005)
 
     def __init__(self) -> None:
-        # 4157 bins are 33 kB: every patch has two histograms.
+        # 4155 bins are 33 kB: every patch has two histograms.
         span = math.log(self._HIGH_NS / self._LOW_NS)
         n_bins = math.ceil(span / self._WIDTH)
         self._bins = np.zeros(n_bins, np.int64)

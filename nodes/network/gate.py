@@ -155,18 +155,21 @@ class Gate:
     def _decide(self, address: str) -> bool:
         """True if an authentication of an address was decided, once for each."""
         host = _host(address)
-        decided = self._decided[host] > 0
-        self._decided[host] -= decided
-        self._decided += Counter()  # without those that are zero
-        return decided
+        is_decided = self._decided[host] > 0
+        self._decided[host] -= is_decided
+        # Those that are zero go: many addresses must not fill the memory.
+        if not self._decided[host]:
+            del self._decided[host]
+        return is_decided
 
     def _close_one(self) -> None:
         """Close the oldest pending connection of the address that has the most, if there is one."""
         if not self._pending:
             return
         # One address that floods must not shut out the others.
-        ((host, _),) = Counter(map(_host, self._pending.values())).most_common(1)
-        fd = next(fd for fd, address in self._pending.items() if _host(address) == host)
+        hosts = {fd: _host(address) for fd, address in self._pending.items()}
+        ((flooding, _),) = Counter(hosts.values()).most_common(1)
+        fd = next(fd for fd, host in hosts.items() if host == flooding)
         address = self._pending.pop(fd)
 
         _shut_down(fd, address)

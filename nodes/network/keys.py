@@ -24,6 +24,7 @@ SECRET_MODE = 0o600
 KEY_CHARACTERS = 40
 """Length of a CURVE key as text (Z85)."""
 MAX_KEY_FILE_BYTES = 4096
+"""Most that is read of a file: a key and some lines of comment are far shorter."""
 _Z85 = re.compile(r"[0-9A-Za-z.\-:+=^!/*?&<>()\[\]{}@%$#]+")
 
 
@@ -58,7 +59,9 @@ def make_key_files(name: str, folder: Path) -> tuple[Path, Path]:
             raise KeyFileError(f"{path}: {TAKEN}")
 
     # The folder of new keys is this user's alone: whoever writes to it can replace them.
-    public, secret = (key.decode() for key in zmq.curve_keypair())
+    public_bytes, secret_bytes = zmq.curve_keypair()
+    public = public_bytes.decode()
+    secret = secret_bytes.decode()
     try:
         folder.mkdir(mode=0o700, parents=True, exist_ok=True)
         use = f"# the secret key of {name}: for this host alone"

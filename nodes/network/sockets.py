@@ -43,6 +43,7 @@ MAX_NOTE_BYTES = 1024
 MAX_ASK_BYTES = 64
 MAX_TIMES_BYTES = 160
 MAX_TIME_DIGITS = 20
+"""Longest note of an ask, and of times: a name and one number, or three, of nanoseconds."""
 MAX_WRITERS = 256
 MAX_READERS = 128
 MAX_SUBSCRIPTIONS = 4096
@@ -88,7 +89,8 @@ def events(monitor: zmq.Socket[bytes]) -> Iterator[tuple[int, int, str]]:
         if not monitor.poll(0):
             return
         head, endpoint = monitor.recv_multipart()
-        yield *struct.unpack("=Hi", head), endpoint.decode(errors="replace")
+        event, value = struct.unpack("=Hi", head)
+        yield event, value, endpoint.decode(errors="replace")
 
 
 def _set_options(socket: zmq.Socket[bytes], options: Mapping[Any, Any]) -> None:
@@ -145,7 +147,9 @@ class Writer:
         if endpoint.startswith("ipc:///") and is_served(Path(path)):
             raise zmq.ZMQError(zmq.EADDRINUSE)
         self.socket.bind(endpoint)
-        self.endpoint = self.socket.getsockopt(zmq.LAST_ENDPOINT).rstrip(b"\0").decode()
+        # Where it was bound: the port may have been left to the system.
+        endpoint_bytes = self.socket.getsockopt(zmq.LAST_ENDPOINT)
+        self.endpoint = endpoint_bytes.rstrip(b"\0").decode()
         if public:
             _set_options(self.socket, OVER_NETWORK_MS)
             self.socket.bind(public)
@@ -229,8 +233,11 @@ class Writer:
         """True if a reader may have subscribed to a topic; ZeroMQ subscribes by prefix."""
         is_wanted = self._is_wanted.get(topic)
         if is_wanted is None:
-            is_full = len(self._prefixes) >= MAX_SUBSCRIPTIONS
-            is_wanted = is_full or topic.encode().startswith(tuple(self._prefixes))
+            prefixes = tuple(self._prefixes)
+            is_wanted = topic.encode().startswith(prefixes)
+            # Further prefixes were not kept: one of them may select it.
+            if len(prefixes) >= MAX_SUBSCRIPTIONS:
+                is_wanted = True
             self._is_wanted[topic] = is_wanted
         return is_wanted
 
@@ -246,6 +253,7 @@ class Writer:
     def awaits(self, ask: int) -> bool:
         """True if a present reader that was asked has not answered yet."""
         asked = self.present & self._answered.keys()
+        # A reader that has left is not waited for.
         return any(self._answered[reader] < ask for reader in asked)
 
     def has_answered(self, reader: str, ask: int) -> bool:
@@ -288,7 +296,9 @@ class Writer:
         writer, _, number = answer.partition(":")
         is_for_us = writer == self._name and reader in self._answered
         if is_for_us and number.isdecimal():
-            self._answered[reader] = max(self._answered[reader], int(number[:18]))
+            # Of at most 18 digits: no ask has more.
+            answered = int(number[:18])
+            self._answered[reader] = max(self._answered[reader], answered)
             self._processed[reader] = self._answered[reader]
 
     def _note_reader(self, tag: str, joins: bool) -> None:
@@ -386,7 +396,9 @@ class Reader:
     @property
     def has_waiting(self) -> bool:
         """True if a message waits."""
-        return bool(self._queue) or bool(self.socket.getsockopt(_EVENTS) & _POLLIN)  # type: ignore[operator]
+        if self._queue:
+            return True
+        return bool(self.socket.getsockopt(_EVENTS) & _POLLIN)  # type: ignore[operator]
 
     def take(
         self, depth: int, streams: Container[bytes]
@@ -399,11 +411,16 @@ class Reader:
         """
         if depth:
             self._fill_queue()
-        message = self._queue.popleft() if self._queue else self.receive()
+        if self._queue:
+            message: tuple[bytes, Payload] | None = self._queue.popleft()
+        else:
+            message = self.receive()
         if message is None:
             return None
         topic, payload = message
-        is_overtaken = depth > 0 and topic in streams and self._has_newer(topic, depth)
+        is_overtaken = False
+        if depth > 0 and topic in streams:
+            is_overtaken = self._has_newer(topic, depth)
         return topic, payload, is_overtaken
 
     def _fill_queue(self) -> None:
@@ -459,7 +476,9 @@ def read_times(note: bytes) -> tuple[str, int, int, int] | None:
     parts = times.split(":")
     if len(parts) != 3:
         return None
-    if not all(part.isdecimal() and len(part) <= MAX_TIME_DIGITS for part in parts):
-        return None
+    for part in parts:
+        # int() takes time that grows with the square of the digits.
+        if not part.isdecimal() or len(part) > MAX_TIME_DIGITS:
+            return None
     t1_ns, t2_ns, t3_ns = map(int, parts)
     return writer, t1_ns, t2_ns, t3_ns

@@ -31,6 +31,8 @@ from .schedule import Schedule
 
 LOWEST_RATE = 0.001
 HIGHEST_RATE = 1000.0
+"""Limits of a rate that is changed while it plays; 0, as fast as it is read, is set at the start
+alone, since there is no schedule to change then."""
 MAX_STAMPS = 4096
 """Frames in flight whose new stamps are kept; a later message counts as a frame of its own."""
 
@@ -227,7 +229,9 @@ class Player(SourceNode[PlayerSettings]):
                 self._schedule.step(now_ns)
                 return "one frame"
             case "faster" | "slower":
-                factor = 1.1 if name == "faster" else 1 / 1.1
+                factor = 1.1
+                if name == "slower":
+                    factor = 1 / 1.1
                 rate = self._schedule.rate * factor
                 rate = min(max(rate, LOWEST_RATE), HIGHEST_RATE)
                 return self._change_rate(rate, now_ns)
@@ -254,11 +258,14 @@ class Player(SourceNode[PlayerSettings]):
         position_ns = self._stop_ns
         if self._next is not None:
             position_ns = min(self._next.stamp_ns - self._shift_ns, self._stop_ns)
+        # Where nothing lies within the part that is to be played, it ends before it starts.
+        played_ns = max(0, position_ns - self._start_ns)
+        length_ns = max(0, self._stop_ns - self._start_ns)
         return {
             "paused": self.paused,
             "rate": self._schedule.rate,
-            "position_s": max(0.0, (position_ns - self._start_ns) / 1e9),
-            "length_s": max(0.0, (self._stop_ns - self._start_ns) / 1e9),
+            "position_s": played_ns / 1e9,
+            "length_s": length_ns / 1e9,
         }
 
     def _change_rate(self, rate: float, now_ns: int) -> str:
@@ -283,7 +290,9 @@ class Player(SourceNode[PlayerSettings]):
         self._messages = messages
         self._next = message
         if self._has_changes:
-            states = [s.moved(stamp_ns - s.stamp_ns) for s in self._states_at(stamp_ns)]
+            states = self._states_at(stamp_ns)
+            # They are of the position sought, whenever they were recorded.
+            states = [state.moved(stamp_ns - state.stamp_ns) for state in states]
             self._messages = chain(states[1:], [message], messages)
             self._next = states[0]
         # Frames in flight are of the part before the jump.
@@ -293,7 +302,9 @@ class Player(SourceNode[PlayerSettings]):
     def status(self) -> str:
         """Frames and seconds played, and the rate."""
         state = self.state()
-        note = "paused" if self.paused else f"rate {self._schedule.rate:.3g}"
+        note = f"rate {self._schedule.rate:.3g}"
+        if self.paused:
+            note = "paused"
         played = f"{state['position_s']:.1f} of {state['length_s']:.1f} s"
         return f"{self._n_frames} frames: {played}, {note}"
 
@@ -331,8 +342,10 @@ class Player(SourceNode[PlayerSettings]):
             from_ns = self._start_ns
             shift_ns += self._stop_ns - self._start_ns
             if self._has_changes:
+                # Those of the end are not those of the begin.
+                begin_ns = self._start_ns + shift_ns
                 for state in self._states_at(from_ns):
-                    yield state.moved(self._start_ns + shift_ns - state.stamp_ns)
+                    yield state.moved(begin_ns - state.stamp_ns)
 
     def _decoded(self, topic: str, payload: bytes) -> Message:
         try:
@@ -341,7 +354,7 @@ class Player(SourceNode[PlayerSettings]):
             raise SparseskinError(f"{self.settings.file}: {topic}: {error}") from error
         if isinstance(message, SkinState):
             # A recording without its truth must not promise one.
-            truth = topic_of(split_topic(topic)[0], Truth.schema)
+            truth = topic_of(message.patch, Truth.schema)
             has_truth = message.has_truth and truth in self._topics
             # Recorded frames wait, whatever they were when they were sensed.
             message = replace(message, has_truth=has_truth, live=False)
@@ -356,7 +369,8 @@ class Player(SourceNode[PlayerSettings]):
             if len(self._stamps) >= MAX_STAMPS:
                 del self._stamps[next(iter(self._stamps))]
             self._stamps[message.stamp_ns] = now_ns
-        return message.moved(self._stamps[message.stamp_ns] - message.stamp_ns)
+        played_ns = self._stamps[message.stamp_ns]
+        return message.moved(played_ns - message.stamp_ns)
 
 
 def _number(name: str, value: Any, low: float, high: float) -> float:

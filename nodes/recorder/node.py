@@ -57,6 +57,7 @@ class Recorder(Node[RecorderSettings]):
     """
 
     Settings = RecorderSettings
+    # A graph goes on without its recorder, as on a full disk.
     required = False
 
     def __init__(self, settings: RecorderSettings, context: Context) -> None:
@@ -73,7 +74,7 @@ class Recorder(Node[RecorderSettings]):
     def values_again(
         cls, settings: RecorderSettings, n_restarts: int
     ) -> dict[str, Any]:
-        # The file of the previous run is kept.
+        # The file of the previous run is kept, whole or not: nothing is written over.
         out = Path(settings.out)
         stem = out.stem.removesuffix(f".restart{n_restarts - 1}")
         return {"out": str(out.with_name(f"{stem}.restart{n_restarts}{FILE_SUFFIX}"))}
@@ -88,6 +89,7 @@ class Recorder(Node[RecorderSettings]):
 
     def step(self, message: Message) -> Iterable[Message]:
         self._guard(lambda: self._write(message))
+        # It publishes nothing.
         return ()
 
     def idle(self) -> None:
@@ -125,7 +127,9 @@ class Recorder(Node[RecorderSettings]):
         if self._writer is None:
             metadata = metadata_of(self.settings.launch, self.settings.source)
             # Offline, where a recording is complete or not at all, chunks are as large as they may.
-            every_s = FLUSH_EVERY_S if self.context.live else math.inf
+            every_s = math.inf
+            if self.context.live:
+                every_s = FLUSH_EVERY_S
             self._writer = BagWriter(
                 Path(self.settings.out), metadata, flush_every_s=every_s
             )
