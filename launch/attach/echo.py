@@ -17,6 +17,7 @@ from sparseskin.messages.reasons import sentence_of
 from sparseskin.messages.text import printable
 from sparseskin.nodes.errors import SettingsError
 from sparseskin.nodes.lookup import did_you_mean
+from sparseskin.nodes.process.control import Document
 
 from .stream import PATIENCE_S, Arrival, Display, Losses
 from .text import flowing, formatted, width, wrapped
@@ -38,7 +39,7 @@ def plain(value: Any, full: bool) -> Any:
         return value.item()
     if not isinstance(value, np.ndarray):
         return value
-    summary: dict[str, Any] = {"dtype": _dtype(value), "shape": list(value.shape)}
+    summary: Document = {"dtype": _dtype(value), "shape": list(value.shape)}
     if full:
         return summary | {"data": value.tolist()}
     if not value.size:
@@ -92,7 +93,7 @@ def text(value: Any, full: bool) -> str:
     return f"{head}: {extent} [{' '.join(elements)}]"
 
 
-def values_of(message: Message) -> dict[str, Any]:
+def values_of(message: Message) -> Document:
     """Fields of a message; of one patch without the axis of patches."""
     if getattr(message, "names", ()):
         return message.__dict__
@@ -134,9 +135,9 @@ class FieldPath:
         return value[index]
 
 
-def _contact_lines(message: Contacts, unit: str) -> dict[str, Any]:
+def _contact_lines(message: Contacts, unit: str) -> Document:
     """Fields of contacts as text, a line each; forces are in `unit`, "" where it is not known."""
-    lines: dict[str, Any] = {}
+    lines: Document = {}
     for name, value in values_of(message).items():
         if value is not None and not isinstance(value, np.ndarray):
             lines[name] = value

@@ -11,6 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from sparseskin.launch.run.running import RunningGraph
+from sparseskin.nodes.process.control import Document
 
 from .stream import Arrival, Display, Losses, quiet_reason
 from .text import formatted, size_text
@@ -62,7 +63,7 @@ class Samples:
         return np.array(rows, dtype=np.int64).reshape(-1, 5)
 
 
-def figures_of(samples: Longs) -> dict[str, Any]:
+def figures_of(samples: Longs) -> Document:
     """Figures of messages, as `Samples.last` returns them: sent_hz, by the numbers and stamps;
     interval_ms between the stamps of messages with adjacent numbers; arrives_hz, the received
     messages over the span of the stamps; bytes_per_s and size_bytes, topic and payload; delay_ms
@@ -94,7 +95,7 @@ def figures_of(samples: Longs) -> dict[str, Any]:
     }
 
 
-def text_of(figures: dict[str, Any]) -> str:
+def text_of(figures: Document) -> str:
     """The figures as part of a line; "" where there are none."""
     parts = []
     if figures["sent_hz"] is not None:

@@ -8,6 +8,8 @@ from typing import Any
 
 from sparseskin.messages.text import printable
 
+Entry = Mapping[str, Any]
+"""A setting as `Settings.described` describes it; of a running node with its value."""
 GAP = "  "
 MIN_LAST = 20
 """A last column is not made narrower than this, however narrow the terminal."""
@@ -135,7 +137,7 @@ def shown_value(value: Any) -> str:
     return text
 
 
-def preset_of(entries: Iterable[Mapping[str, Any]]) -> str | None:
+def preset_of(entries: Iterable[Entry]) -> str | None:
     """The preset among the settings of a node; None where it has none."""
     for entry in entries:
         if entry["key"] == "preset":
@@ -143,7 +145,7 @@ def preset_of(entries: Iterable[Mapping[str, Any]]) -> str | None:
     return None
 
 
-def in_force_text(entry: Mapping[str, Any], preset: str | None) -> str:
+def in_force_text(entry: Entry, preset: str | None) -> str:
     """The value in force of a setting that is not stated, as " (preset NAME: VALUE)"; or ""."""
     if entry["value"] is not None or entry["in_force"] is None:
         return ""
@@ -153,12 +155,12 @@ def in_force_text(entry: Mapping[str, Any], preset: str | None) -> str:
     return f" (preset {preset}: {value})"
 
 
-def types_of(entry: Mapping[str, Any]) -> list[str]:
+def types_of(entry: Entry) -> list[str]:
     """Names of the types that a setting may have, as they are declared."""
     return [part.strip() for part in str(entry["type"]).split("|")]
 
 
-def allowed_text(entry: Mapping[str, Any]) -> str:
+def allowed_text(entry: Entry) -> str:
     """Allowed values of a setting, in a few words."""
     types = types_of(entry)
     # A closed list says all; else the types do.
@@ -176,7 +178,7 @@ def allowed_text(entry: Mapping[str, Any]) -> str:
     return " or ".join(words)
 
 
-def typed_value(text: str, entry: Mapping[str, Any] | None) -> Any:
+def typed_value(text: str, entry: Entry | None) -> Any:
     """The value of a typed text: TOML, or else the text as it stands, as it does for a setting
     whose described type is a text.
     """
@@ -198,7 +200,7 @@ def typed_value(text: str, entry: Mapping[str, Any] | None) -> Any:
     return value
 
 
-def _range_text(entry: Mapping[str, Any]) -> str:
+def _range_text(entry: Entry) -> str:
     low = entry["low"]
     high = entry["high"]
     if low is not None and high is not None:

@@ -11,6 +11,7 @@ from sparseskin.launch.attach.text import facts, flowing, size_text, table
 from sparseskin.nodes.errors import SourceError
 from sparseskin.nodes.extensions import EXPORTS, loaded
 from sparseskin.nodes.lookup import find_callable
+from sparseskin.nodes.process.control import Document
 from sparseskin.nodes.recorder.bag.format import (
     FILE_SUFFIX,
     PART_SUFFIX,
@@ -228,7 +229,7 @@ def _export(arguments: argparse.Namespace) -> int:
     return 0
 
 
-def _stated_options(arguments: argparse.Namespace) -> dict[str, Any]:
+def _stated_options(arguments: argparse.Namespace) -> Document:
     """Options of the export alone that are stated; BagError if one goes with another export."""
     stated = {}
     for name, option in _export_options().items():
@@ -251,7 +252,7 @@ def _count(n: int, what: str) -> str:
     return f"{n} {what}s"
 
 
-def info_document(bag: "BagReader") -> dict[str, Any]:
+def info_document(bag: "BagReader") -> Document:
     """The file, its topics, counts of its recorder and its metadata in full."""
     topics = {}
     for topic, info in bag.topics.items():
@@ -310,7 +311,7 @@ def _topic_rows(bag: "BagReader") -> list[list[Any]]:
     return rows
 
 
-def _states(bag: "BagReader") -> dict[str, dict[str, Any]]:
+def _states(bag: "BagReader") -> dict[str, Document]:
     """The last state of each kind of each patch, by topic; none where one cannot be read."""
     from sparseskin.nodes.recorder.bag.frames import last_states
 
@@ -320,7 +321,7 @@ def _states(bag: "BagReader") -> dict[str, dict[str, Any]]:
         return {}
 
 
-def _state_text(state: dict[str, Any]) -> str:
+def _state_text(state: Document) -> str:
     """Fields of a state that are no arrays, and state something, in one line."""
     parts = []
     for key, value in state.items():

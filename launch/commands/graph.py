@@ -28,7 +28,7 @@ from sparseskin.launch.run.running import GraphError, choose_graph, running_grap
 from sparseskin.messages.text import printable
 from sparseskin.nodes.errors import SettingsError
 from sparseskin.nodes.lookup import did_you_mean
-from sparseskin.nodes.process.control import COUNTED
+from sparseskin.nodes.process.control import COUNTED, Document
 from sparseskin.nodes.process.proc import age_s, cpu_s, resident_bytes
 
 from .options import add_commands, add_graph, show
@@ -140,7 +140,7 @@ def _process_figures(pid: int) -> dict[str, float]:
     }
 
 
-def _node_text(node: dict[str, Any]) -> list[str]:
+def _node_text(node: Document) -> list[str]:
     lines = [node["name"], *facts(_node_properties(node), "  ")]
     for head, rows in _node_tables(node).items():
         if rows:
@@ -148,7 +148,7 @@ def _node_text(node: dict[str, Any]) -> list[str]:
     return lines
 
 
-def _node_properties(node: dict[str, Any]) -> dict[str, str]:
+def _node_properties(node: Document) -> dict[str, str]:
     condition = node["condition"]
     if node["restarts"]:
         condition += f", restarted {node['restarts']} times"
@@ -174,7 +174,7 @@ def _node_properties(node: dict[str, Any]) -> dict[str, str]:
     return properties
 
 
-def _node_tables(node: dict[str, Any]) -> dict[tuple[str, ...], list[list[Any]]]:
+def _node_tables(node: Document) -> dict[tuple[str, ...], list[list[Any]]]:
     """Rows of each table about a node, by the head of the table."""
     inputs = []
     for entry in node["inputs"]:
@@ -242,7 +242,7 @@ def _list_settings(arguments: argparse.Namespace) -> int:
     return show(arguments, "param-list", document, ["\n\n".join(tables)])
 
 
-def _node_lines(name: str, entries: list[dict[str, Any]]) -> list[str]:
+def _node_lines(name: str, entries: list[Document]) -> list[str]:
     """Two lines a setting at the least: its value and what it may be, then what it means."""
     # Values of all settings begin in one column.
     widest = max((len(entry["key"]) for entry in entries), default=0)
@@ -293,7 +293,7 @@ def _set(arguments: argparse.Namespace) -> int:
     graph = choose_graph(arguments.graph)
     settings = describe_node(graph, arguments.node)["settings"]
     entries = {entry["key"]: entry for entry in settings}
-    values: dict[str, Any] = {}
+    values: Document = {}
     for key, text in typed_texts.items():
         # A dot may also be part of the name of a setting.
         table_key, dot, part = key.partition(".")

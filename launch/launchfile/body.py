@@ -25,7 +25,7 @@ from sparseskin.nodes.sensor.skin_file import MAX_FILE_CHARS, load_skin, parse_s
 from sparseskin.nodes.settings import Settings, setting
 from sparseskin.nodes.toml import parse_toml
 
-from .tables import Fault, bad_name, read_table
+from .tables import Fault, Table, bad_name, read_table
 
 SKIN = "skin"
 """Name of the table."""
@@ -68,7 +68,7 @@ class PatchTable(Settings):
     name: str = setting("", "the patch in topics, on the page and in summaries")
     skin: str = setting("", "name of its skin.toml, in place of keys of the skin")
     host: str = setting("", "host of its nodes; by default as they state")
-    compressor: dict[str, Any] | None = setting(None, "settings of its compressor")
+    compressor: Table | None = setting(None, "settings of its compressor")
     pose: tuple[float, ...] | None = setting(
         None, "x, y, z of its middle in mm, roll, pitch, yaw in degrees"
     )
@@ -92,10 +92,10 @@ class Patch:
         return repr((self.simulated, self.host, sorted(self.compressor.items())))
 
     @property
-    def simulated(self) -> dict[str, Any]:
+    def simulated(self) -> Table:
         """The setting `simulated` of a sensor node for such patches."""
         s = self.skin
-        values: dict[str, Any] = {
+        values: Table = {
             "f_max": s.f_max,
             "noise": s.noise,
             "noise_mid": s.noise_mid,
@@ -232,12 +232,12 @@ def _patch(table: object, where: str, folder: Path) -> Patch:
 
 
 def _skin(
-    stated: PatchTable, skin_keys: dict[str, Any], where: str, folder: Path
+    stated: PatchTable, skin_keys: Table, where: str, folder: Path
 ) -> SkinDescription:
     """The skin of a patch, from its file or from the keys of its table."""
     if not stated.skin:
         # The taxels of a layout have places of their own.
-        values: dict[str, Any] = {"name": stated.name, "f_max": PAPER_F_MAX_N}
+        values: Table = {"name": stated.name, "f_max": PAPER_F_MAX_N}
         if "points" not in skin_keys:
             values["pitch_mm"] = PITCH_MM
         skin = parse_skin(values | skin_keys, where, folder)
@@ -298,7 +298,7 @@ def batches_of(patches: list[Patch], most: int) -> Iterator[Batch]:
 
 def expand(
     name: str, table: Mapping[str, Any], fields: set[str], batches: list[Batch]
-) -> dict[str, dict[str, Any]]:
+) -> dict[str, Table]:
     """The tables of the nodes that serve a body, made of one table [nodes.NAME].
 
     `fields` are the names of the settings of its type. A node that serves single patches, or states
@@ -323,7 +323,7 @@ def expand(
     for k, batch in enumerate(batches, start=1):
         # All patches of a batch have these in common.
         patch = batch.patches[0]
-        values: dict[str, Any] = {"patch": batch.name, "patches": batch.names}
+        values: Table = {"patch": batch.name, "patches": batch.names}
         if "simulated" in fields:
             values["simulated"] = patch.simulated
         if "ratio" in fields:

@@ -29,7 +29,7 @@ from .hosts import (
 from .processes import Composition, check_processes
 from .spec import LAUNCHER, LIVE_RECORDER, LaunchError, LaunchFile, NodeSpec
 from .stated import as_words
-from .tables import read_table, read_tables
+from .tables import Table, read_table, read_tables
 
 RECORDER = "recorder"
 SKIN = "skin"
@@ -67,7 +67,7 @@ class Checker:
 
     title: str
     text: str
-    tree: dict[str, Any]
+    tree: Table
     name: str
     folder: Path = Path()
     launched: str = ""
@@ -135,7 +135,7 @@ class Checker:
             title=self.title,
         )
 
-    def nodes(self, tables: dict[str, dict[str, Any]]) -> dict[str, NodeSpec]:
+    def nodes(self, tables: dict[str, Table]) -> dict[str, NodeSpec]:
         """The nodes whose tables have no fault, each checked against what the others state."""
         nodes: dict[str, NodeSpec] = {}
         for name, table in tables.items():
@@ -144,7 +144,7 @@ class Checker:
                 nodes[name] = spec
 
         # What others state has to be known first, whatever their order.
-        facts: dict[str, Any] = {}
+        facts: Table = {}
         for spec in nodes.values():
             facts |= spec.cls.facts(spec.settings)
         for spec in nodes.values():
@@ -173,7 +173,7 @@ class Checker:
             public = endpoints.get(name, "")
             nodes[name] = replace(nodes[name], host=place, public=public)
 
-    def node_tables(self) -> dict[str, dict[str, Any]]:
+    def node_tables(self) -> dict[str, Table]:
         if not self.tree.get("nodes"):
             self.errors.append(
                 f"{self.title}: nodes: expected at least one table [nodes.NAME]"
@@ -188,7 +188,7 @@ class Checker:
                 del tables[name]
         return tables
 
-    def expanded(self, tables: dict[str, dict[str, Any]]) -> dict[str, dict[str, Any]]:
+    def expanded(self, tables: dict[str, Table]) -> dict[str, Table]:
         """The tables with the nodes that serve the body of the table [skin], where there is one."""
         if SKIN not in self.tree:
             return tables
@@ -202,7 +202,7 @@ class Checker:
         batches = read_skin(self.tree[SKIN], folder, self.fault)
         if not batches:
             raise LaunchError(self.errors[:MAX_ERRORS])
-        node_tables: dict[str, dict[str, Any]] = {}
+        node_tables: dict[str, Table] = {}
         for name, table in tables.items():
             try:
                 fields = _setting_names(node_class(table["type"]))
@@ -222,7 +222,7 @@ class Checker:
             raise LaunchError(self.errors[:MAX_ERRORS])
         return node_tables
 
-    def override(self, text: str, tables: dict[str, dict[str, Any]]) -> None:
+    def override(self, text: str, tables: dict[str, Table]) -> None:
         match = re.fullmatch(r"([^.=]+)\.([^.=]+)(?:\.([^.=]+))?=(.*)", text, re.DOTALL)
         if match is None:
             self.errors.append(f"--set {text}: expected NODE.KEY=VALUE")
@@ -254,7 +254,7 @@ class Checker:
         tables[node][key] = value
         self.overridden[place] = f"--set {text}"
 
-    def node(self, name: str, table: dict[str, Any]) -> NodeSpec | None:
+    def node(self, name: str, table: Table) -> NodeSpec | None:
         values = dict(table)
         type_name = values.pop("type", None)
         if not isinstance(type_name, str):
@@ -286,7 +286,7 @@ class Checker:
         )
 
     def settings(
-        self, name: str, cls: type[Node[Any]], values: dict[str, Any]
+        self, name: str, cls: type[Node[Any]], values: Table
     ) -> Settings | None:
         """The settings of a node without the values that are faulty, each of which is noted; None
         where the node cannot be checked any further.
@@ -332,9 +332,7 @@ class Checker:
             if cause is None or name not in self.places:
                 raise
 
-    def node_fault(
-        self, name: str, values: dict[str, Any], error: Exception
-    ) -> tuple[str, str]:
+    def node_fault(self, name: str, values: Table, error: Exception) -> tuple[str, str]:
         """Note an error that begins with the key of a node; return the key and, of a table, its
         part; "" where it names none.
         """
@@ -384,7 +382,7 @@ def _setting_names(cls: type[Node[Any]]) -> set[str]:
     return {setting.name for setting in dataclasses.fields(cls.Settings)}
 
 
-def _to_name(node: str, values: dict[str, Any]) -> str:
+def _to_name(node: str, values: Table) -> str:
     """The --set that names a recording in place of a placeholder; "" where there is none."""
     for key, value in values.items():
         if isinstance(value, str) and TO_NAME in value:

@@ -5,7 +5,6 @@ import re
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 from sparseskin.nodes.arguments import checked
 from sparseskin.nodes.errors import SparseskinError
@@ -19,11 +18,12 @@ from .check import Checker, one_line_of
 from .spec import LaunchError as LaunchError
 from .spec import LaunchFile as LaunchFile
 from .spec import NodeSpec
+from .tables import Table
 
 _TOML_PLACE = re.compile(r" \(at line (\d+), column (\d+)\)$")
 
 
-def single_node(name: str, type_name: str, values: dict[str, Any]) -> LaunchFile:
+def single_node(name: str, type_name: str, values: Table) -> LaunchFile:
     """A graph of one node, as commands make it; its inputs are joined to another graph.
     Raises SparseskinError if a setting is not allowed.
     """
@@ -111,7 +111,7 @@ def _unreadable(shown: str, error: Exception) -> str:
 
 
 def load_tables(
-    name: str, tables: dict[str, dict[str, Any]], overrides: Sequence[str] = ()
+    name: str, tables: dict[str, Table], overrides: Sequence[str] = ()
 ) -> LaunchFile:
     """Check a launch file that a program made: its tables [nodes.NAME].
     Raises SparseskinError with the first error that was found.

@@ -2,13 +2,12 @@
 
 from collections.abc import Collection, Iterable, Mapping
 from dataclasses import asdict, dataclass
-from typing import Any
 
 from sparseskin.nodes.errors import SettingsError
 from sparseskin.nodes.settings import Settings, setting
 
 from .spec import NodeSpec
-from .tables import Fault, bad_name
+from .tables import Fault, Table, bad_name
 
 
 @dataclass(frozen=True)
@@ -78,7 +77,7 @@ def _check_same(leader: NodeSpec, spec: NodeSpec, fault: Fault) -> None:
         fault(("nodes", spec.name, key), problem)
 
 
-def _settings_of_process(spec: NodeSpec) -> dict[str, Any]:
+def _settings_of_process(spec: NodeSpec) -> Table:
     scheduling = asdict(spec.scheduling)
     scheduling["cpus"] = list(spec.scheduling.cpus)
     return scheduling | asdict(spec.restart)

@@ -14,6 +14,7 @@ from sparseskin.nodes.node import Node
 from sparseskin.nodes.process.scheduling import Scheduling
 
 from .hosts import Credentials, Host, Security, read_credentials
+from .tables import Table
 
 LAUNCHER = "launch"
 """Name of the launcher itself, as the receiver of requests and in the log."""
@@ -38,7 +39,7 @@ class NodeSpec:
     name: str
     type_name: str
     cls: type[Node[Any]]
-    values: dict[str, Any]
+    values: Table
     settings: Any
     restart: RestartPolicy = RestartPolicy()
     scheduling: Scheduling = Scheduling()
@@ -51,7 +52,7 @@ class NodeSpec:
         """Topics that it publishes."""
         return self.cls.outputs(self.settings)
 
-    def with_live(self, values: dict[str, Any]) -> Self:
+    def with_live(self, values: Table) -> Self:
         """The same node with what was changed while it ran."""
         live = self.settings.live_values()
         changed = {key: v for key, v in values.items() if v != live[key]}

@@ -5,7 +5,6 @@ from collections.abc import Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 from tqdm import tqdm
 
@@ -23,6 +22,7 @@ from sparseskin.messages import (
 from sparseskin.messages.topics import split_topic, topic_of
 from sparseskin.nodes.errors import SettingsError, SparseskinError
 from sparseskin.nodes.files import whole_file
+from sparseskin.nodes.process.control import Document
 from sparseskin.nodes.recorder.bag.format import BagError
 from sparseskin.nodes.recorder.bag.frames import last_messages
 from sparseskin.nodes.recorder.bag.patches import names_of
@@ -58,7 +58,7 @@ class Outcome:
     """
 
     job: Job
-    patches: dict[str, Any]
+    patches: Document
     error: str = ""
     n_bytes: int = 0
     seconds: float = 0.0
@@ -112,7 +112,7 @@ def origin_of(job: Job, bag: BagReader) -> str:
     return f"{command} --from {job.start_from}\n{bag.metadata.get('launch', '')}"
 
 
-def _run(job: Job, source: Path, out: Path, progress: bool) -> dict[str, Any]:
+def _run(job: Job, source: Path, out: Path, progress: bool) -> Document:
     """Write the result of a job; return the monitor's summary by patch, without latencies."""
     with BagReader(source, whole=False) as bag:
         total = max((info.n_messages for info in bag.topics.values()), default=0)
@@ -153,7 +153,7 @@ def make_graph(job: Job, bag: BagReader, out: Path) -> LaunchFile:
         schemas += [PhiState.schema, Measurements.schema]
     else:
         stations.insert(0, "compressor")
-    tables: dict[str, dict[str, Any]] = {
+    tables: dict[str, Document] = {
         "player": {
             "type": "player",
             "file": str(bag.path),
@@ -188,7 +188,7 @@ def _only_patch(patches: set[str], batches: Mapping[str, Sequence[str]]) -> str:
     return patch
 
 
-def iterations_of(recorded: SolverState) -> dict[str, Any]:
+def iterations_of(recorded: SolverState) -> Document:
     """Settings of the reconstructor that give each frame the iterations that it had, where their
     number followed from the speed of the host that recorded it.
     """

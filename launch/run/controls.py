@@ -24,7 +24,7 @@ from sparseskin.launch.launchfile.spec import LAUNCHER, LIVE_RECORDER, LaunchFil
 from sparseskin.nodes.errors import RefusedError, SparseskinError
 from sparseskin.nodes.files import is_served
 from sparseskin.nodes.lookup import did_you_mean
-from sparseskin.nodes.process.control import MAX_DEPTH, Connection, is_shallow
+from sparseskin.nodes.process.control import MAX_DEPTH, Connection, Document, is_shallow
 
 from .fleet import Fleet
 from .process import NodeProcess, awake_s
@@ -34,7 +34,7 @@ from .state import graph_description, graph_state
 NEWS_S = 0.5
 """Longest time between two published states of the graph; a change is published at once."""
 
-Reply = Callable[[dict[str, Any]], None]
+Reply = Callable[[Document], None]
 """Called with the answer: {id, node, done, text}."""
 Say = Callable[[bool, str], None]
 """Called with the answer to one request: done or not, and the text."""
@@ -141,7 +141,7 @@ class ControlServer:
         path: str,
         fleet: Fleet,
         take: Callable[[Mapping[str, Any], Reply], None],
-        describe: Callable[[str | None], dict[str, Any]],
+        describe: Callable[[str | None], Document],
     ) -> None:
         self._path = path
         self._fleet = fleet
@@ -176,7 +176,7 @@ class ControlServer:
             if not client.flush():
                 self._drop(client)
 
-    def publish(self, fields: dict[str, Any]) -> None:
+    def publish(self, fields: Document) -> None:
         """Send one object, which a newer one will replace, to all clients that watch and have read
         what was sent before.
         """
@@ -353,10 +353,10 @@ class Controls:
         """Accept no more requests."""
         self._server.close()
 
-    def _describe(self, node: str | None) -> dict[str, Any]:
+    def _describe(self, node: str | None) -> Document:
         return graph_description(self._launch, self._fleet, self._recording.out, node)
 
-    def _hear(self, node: NodeProcess, event: dict[str, Any]) -> None:
+    def _hear(self, node: NodeProcess, event: Document) -> None:
         self._recording.hear(node, event["event"])
         if event["event"] == "answer":
             self._requests.answered(event)

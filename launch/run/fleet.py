@@ -16,6 +16,7 @@ from sparseskin.nodes.errors import SparseskinError
 from sparseskin.nodes.graph import Link
 from sparseskin.nodes.network.keys import read_key_pair
 from sparseskin.nodes.network.sockets import Peer
+from sparseskin.nodes.process.control import Document
 
 from .process import NodeProcess, awake_s, exit_text, start_process
 from .restarts import Restarts
@@ -33,7 +34,7 @@ ANY_PORT = "tcp://127.0.0.1:*"
 EXIT_FAILED = 1
 EXIT_USAGE = 2
 
-Hear = Callable[[NodeProcess, dict[str, Any]], None]
+Hear = Callable[[NodeProcess, Document], None]
 
 
 class Fleet:
@@ -216,7 +217,7 @@ class Fleet:
             for pipe in node.pipes:
                 self._selector.register(pipe, selectors.EVENT_READ, node)
 
-    def _config(self, spec: NodeSpec, late: bool) -> dict[str, Any]:
+    def _config(self, spec: NodeSpec, late: bool) -> Document:
         """Configuration of a node, as of `Runner`."""
         # The number of a node stays the same when it is started again.
         number = list(self.restarts).index(spec.name)
@@ -253,7 +254,7 @@ class Fleet:
             return f"ipc://{socket_path(number)}"
         return ANY_PORT
 
-    def _links_of(self, name: str) -> dict[str, Any]:
+    def _links_of(self, name: str) -> Document:
         """Topics that a node reads, its readers, and which of both are on other hosts."""
         elsewhere = self._launch.elsewhere
         inputs = {}
@@ -385,7 +386,7 @@ class Fleet:
         for event in events:
             self._take(node, event)
 
-    def _take(self, node: NodeProcess, event: dict[str, Any]) -> None:
+    def _take(self, node: NodeProcess, event: Document) -> None:
         for line in event.get("trace", "").splitlines():
             self._record(f"[{node.name}] {line}")
         match event["event"]:

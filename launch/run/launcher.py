@@ -6,11 +6,11 @@ import os
 import signal
 from collections.abc import Callable, Mapping
 from types import FrameType
-from typing import Any
 
 from sparseskin.launch.launchfile.spec import LaunchFile
 from sparseskin.nodes.clock import wall_offset_ns
 from sparseskin.nodes.errors import SparseskinError
+from sparseskin.nodes.process.control import Document
 
 from .controls import Controls
 from .fleet import EXIT_FAILED, START_S, Fleet
@@ -145,9 +145,9 @@ class Launcher:
                 "prevent it"
             )
 
-    def summary(self) -> dict[str, Any]:
+    def summary(self) -> Document:
         """Reports and counts of the nodes."""
-        merged: dict[str, Any] = {
+        merged: Document = {
             "launch": self._launch.name,
             "patches": {},
             "nodes": {},

@@ -16,7 +16,7 @@ from typing import Any
 
 from sparseskin.launch.launchfile.spec import NodeSpec
 from sparseskin.nodes.errors import SparseskinError
-from sparseskin.nodes.process.control import Connection
+from sparseskin.nodes.process.control import Connection, Document
 from sparseskin.nodes.process.tally import Tally
 
 NEW_S = 8.0
@@ -92,7 +92,7 @@ class NodePipes:
 
 
 def start_process(
-    nodes: Sequence[tuple[NodeSpec, dict[str, Any]]],
+    nodes: Sequence[tuple[NodeSpec, Document]],
 ) -> list["NodeProcess"]:
     """Start one process for one node or several, each with the configuration that
     `sparseskin.nodes.process.run_node` expects.
@@ -145,7 +145,7 @@ class NodeProcess:
     def __init__(
         self,
         spec: NodeSpec,
-        config: dict[str, Any],
+        config: Document,
         process: subprocess.Popen[bytes],
         pipes: NodePipes,
     ) -> None:
@@ -166,12 +166,12 @@ class NodeProcess:
         self.clocks: dict[str, tuple[int, int]] = {}
         self.line = ""
         self.refusal = ""
-        self.state: dict[str, Any] = {}
-        self.settings: dict[str, Any] = spec.settings.live_values()
+        self.state: Document = {}
+        self.settings: Document = spec.settings.live_values()
         self.heard_s = awake_s()
-        self.counted: dict[str, Any] = {}
-        self.earlier: dict[str, Any] = {}
-        self.report: dict[str, Any] = {}
+        self.counted: Document = {}
+        self.earlier: Document = {}
+        self.report: Document = {}
         self._said = ""
         self._said_s = 0.0
         self._lines = LogLines()
@@ -209,13 +209,13 @@ class NodeProcess:
         return self._said
 
     @property
-    def counts(self) -> dict[str, Any]:
+    def counts(self) -> Document:
         """Counters of the node and of its `earlier` runs. Of a run that was killed, the numbers of
         messages published are exact; the others are those of its last heartbeat.
         """
         if not self.closed:
             self.counted["published"] = self._tally.counts()
-        counts: dict[str, Any] = _added(self.earlier, self.counted)
+        counts: Document = _added(self.earlier, self.counted)
         return counts
 
     @property
@@ -235,7 +235,7 @@ class NodeProcess:
         if self.exit_code() is None:
             self.process.send_signal(number)
 
-    def read(self) -> tuple[list[dict[str, Any]], list[str]]:
+    def read(self) -> tuple[list[Document], list[str]]:
         """Waiting (events, log lines): of each pipe a bounded part, for a flood has no end."""
         self._channel.flush()
         lines = self._channel.lines()
@@ -269,7 +269,7 @@ class NodeProcess:
         self._log.close()
 
 
-def _event(line: str) -> dict[str, Any]:
+def _event(line: str) -> Document:
     try:
         event = json.loads(line)
     except json.JSONDecodeError:

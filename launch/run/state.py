@@ -3,19 +3,16 @@
 import os
 import socket
 from collections.abc import Callable, Iterable
-from typing import Any
 
 from sparseskin.launch.launchfile.spec import LIVE_RECORDER, LaunchFile
 from sparseskin.nodes.node_host import is_latched
-from sparseskin.nodes.process.control import COUNTED
+from sparseskin.nodes.process.control import COUNTED, Document
 
 from .fleet import Fleet
 from .process import NodeProcess
 
 
-def graph_state(
-    launch: LaunchFile, fleet: Fleet, recording: str | None
-) -> dict[str, Any]:
+def graph_state(launch: LaunchFile, fleet: Fleet, recording: str | None) -> Document:
     """The state of a graph, as it is published to all that watch it; `recording` is the file that
     is recorded on request, if any.
     """
@@ -29,7 +26,7 @@ def graph_state(
 
 def graph_description(
     launch: LaunchFile, fleet: Fleet, recording: str | None, node: str | None
-) -> dict[str, Any]:
+) -> Document:
     """The description of a graph, for a program that asks once: with the settings of `node`, each
     with its type, range and meaning.
     """
@@ -42,9 +39,7 @@ def graph_description(
     }
 
 
-def _nodes(
-    fleet: Fleet, further: Callable[[NodeProcess], dict[str, Any]]
-) -> list[dict[str, Any]]:
+def _nodes(fleet: Fleet, further: Callable[[NodeProcess], Document]) -> list[Document]:
     """Each node, without live recorders that have ended, and the fields that `further` returns."""
     nodes = []
     for node in fleet:
@@ -65,7 +60,7 @@ def _nodes(
     return nodes
 
 
-def _in_short(node: NodeProcess) -> dict[str, Any]:
+def _in_short(node: NodeProcess) -> Document:
     cls = node.spec.cls
     settings = node.spec.settings
     counts = node.counts
@@ -85,18 +80,18 @@ def _in_short(node: NodeProcess) -> dict[str, Any]:
     }
 
 
-def _in_full(node: NodeProcess, with_settings: bool) -> dict[str, Any]:
+def _in_full(node: NodeProcess, with_settings: bool) -> Document:
     counts = node.counts
 
-    def counted(topic: str, counter_of: dict[str, str]) -> dict[str, Any]:
-        fields: dict[str, Any] = {"topic": topic, "latched": is_latched(topic)}
+    def counted(topic: str, counter_of: dict[str, str]) -> Document:
+        fields: Document = {"topic": topic, "latched": is_latched(topic)}
         for name, counter in counter_of.items():
             fields[name] = counts.get(counter, {}).get(topic, 0)
         return fields
 
     of_input = {counter: counter for counter in COUNTED}
     of_output = {"sent": "published"}
-    described: dict[str, Any] = {
+    described: Document = {
         "pid": node.pid,
         "companions": node.config["companions"],
         "transport": node.endpoint.partition(":")[0],
@@ -109,7 +104,7 @@ def _in_full(node: NodeProcess, with_settings: bool) -> dict[str, Any]:
     return described
 
 
-def _settings(node: NodeProcess) -> list[dict[str, Any]]:
+def _settings(node: NodeProcess) -> list[Document]:
     """Settings of a node as they are described, with their values, stated and in force."""
     values = {**vars(node.spec.settings), **node.settings}
     settings = []
@@ -125,13 +120,13 @@ def _settings(node: NodeProcess) -> list[dict[str, Any]]:
 
 def hosts_state(
     launch: LaunchFile, nodes: Iterable[NodeProcess]
-) -> dict[str, dict[str, Any]]:
+) -> dict[str, Document]:
     """State of the other hosts of a graph by name, as far as the nodes of this one know: heard
     (None where no node here reads from one there), silent (names of the nodes that should send and
     do not), clock_offset_ms and clock_uncertainty_ms (None while unknown; the clock there is ahead
     by the offset, within the uncertainty).
     """
-    states: dict[str, dict[str, Any]] = {}
+    states: dict[str, Document] = {}
     if not launch.host:
         return states
     for name in launch.hosts:

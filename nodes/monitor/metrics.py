@@ -26,6 +26,7 @@ from sparseskin.messages.quantised import Quantised
 from sparseskin.nodes.clock import SAME_CLOCK, ClockEstimate
 from sparseskin.nodes.node_host import TopicCount
 from sparseskin.nodes.numerics.arrays import Floats
+from sparseskin.nodes.process.control import Document
 from sparseskin.nodes.touch import MeasuredNoise, in_contact
 
 from .statistics import Extent, Quantiles
@@ -72,11 +73,11 @@ class Quality:
         if is_contact:
             self.contact.add(value)
 
-    def summary(self) -> dict[str, Any]:
+    def summary(self) -> Document:
         return {"all": self.every.summary(), "contact": self.contact.summary()}
 
 
-def _trust_summary(trusted: Extent) -> dict[str, Any] | None:
+def _trust_summary(trusted: Extent) -> Document | None:
     """Number of frames, of those not to be trusted, and the share of the others; None of none."""
     if not trusted.count:
         return None
@@ -165,7 +166,7 @@ class PatchMetrics:
         self.skin: SkinState | None = None
         self.phi: PhiState | None = None
         self.solver: SolverState | None = None
-        self.changes: list[dict[str, Any]] = []
+        self.changes: list[Document] = []
 
         self.noisy = Quality()
         self.reconstruction = Quality()
@@ -457,7 +458,7 @@ class PatchMetrics:
             reason = reconstruction.reason[0] or Reason.ERROR
             self.doubts[str(reason)] += 1
 
-    def summary(self) -> dict[str, Any]:
+    def summary(self) -> Document:
         """The patch's part of the summary; unknown figures are None."""
         phi = self.phi
         # Frames that a late monitor read in part are not counted.
@@ -499,7 +500,7 @@ class PatchMetrics:
             summary["ratio_bits"] = FLOAT_BITS * phi.n / (phi.m * self.bits)
         return summary
 
-    def _accuracy_summary(self) -> dict[str, Any]:
+    def _accuracy_summary(self) -> Document:
         reference = None
         if self.skin is not None and self.skin.has_truth:
             reference = "truth"
@@ -541,6 +542,6 @@ def _forces_in(cells: Any, message: Taxels | Truth | None) -> Floats | None:
     return forces
 
 
-def _fields(state: Message | None, *names: str) -> dict[str, Any]:
+def _fields(state: Message | None, *names: str) -> Document:
     """Fields of a state message; None while it has not arrived."""
     return {name: getattr(state, name, None) for name in names}

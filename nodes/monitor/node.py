@@ -30,6 +30,7 @@ from sparseskin.nodes.clock import ClockEstimate
 from sparseskin.nodes.errors import RefusedError, SettingsError
 from sparseskin.nodes.lookup import did_you_mean
 from sparseskin.nodes.node import Context, Node
+from sparseskin.nodes.process.control import Document
 from sparseskin.nodes.settings import (
     Settings,
     check_patch,
@@ -58,11 +59,11 @@ class MonitorSettings(Settings):
     """Settings of the monitor node."""
 
     patches: tuple[str, ...] = setting(("skin",), "names of the patches to watch")
-    batches: dict[str, Any] | None = setting(
+    batches: Document | None = setting(
         None,
         "a table of the batches to watch: the names of the patches of each, by its name",
     )
-    poses: dict[str, Any] | None = setting(
+    poses: Document | None = setting(
         None,
         "a table of the pose of each patch on the page, by its name: x, y, z of its middle in mm, "
         "roll, pitch, yaw in degrees",
@@ -138,7 +139,7 @@ class Monitor(Node[MonitorSettings]):
             clock_of = partial(_clock_of, context, group)
             for name in names:
                 self._patches[name] = PatchMetrics(since_ns, clock_of)
-        self._last_forces: dict[str, Any] = {}
+        self._last_forces: Document = {}
         self._feed: Feed | None = None
         self._page: PageServer | None = None
         self._opener: Path | None = None
@@ -161,7 +162,7 @@ class Monitor(Node[MonitorSettings]):
         report: Mapping[str, Any],
         counts: Iterable[Any],
         again: bool,
-    ) -> dict[str, Any]:
+    ) -> Document:
         # Counts of nodes are by topic, those of a batch being of all its patches.
         counts_of = {}
         for of_node in counts:
@@ -195,7 +196,7 @@ class Monitor(Node[MonitorSettings]):
             self._serve_page(self._feed, ask)
         return ()
 
-    def _serve_page(self, feed: Feed, ask: Callable[[dict[str, Any]], None]) -> None:
+    def _serve_page(self, feed: Feed, ask: Callable[[Document], None]) -> None:
         from .live.server import PageServer
 
         port = self.settings.port
@@ -263,7 +264,7 @@ class Monitor(Node[MonitorSettings]):
             self._feed.update(**{name: value})
         return ""
 
-    def close(self, counts: dict[str, Any]) -> None:
+    def close(self, counts: Document) -> None:
         if self._feed is not None:
             self._feed.update(summaries=self.report()["patches"])
         if self._page is not None:
@@ -302,7 +303,7 @@ class Monitor(Node[MonitorSettings]):
             self._status_frames[name] = metrics.reconstructed
         return "\n".join(lines)
 
-    def report(self) -> dict[str, Any]:
+    def report(self) -> Document:
         summaries = {name: patch.summary() for name, patch in self._patches.items()}
         return {"patches": summaries}
 

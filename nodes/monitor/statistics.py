@@ -112,9 +112,9 @@ class History:
         """The rows from number `n`, or a later one if that is removed: the number of the first, and
         a copy of them, float64 (k, n_columns).
         """
-        first = max(n, self.n - len(self._rows))
-        n_rows = max(0, self.n - first)
+        n_first = max(n, self.n - len(self._rows))
+        n_rows = max(0, self.n - n_first)
         # From the end: a page asks for the newest few of many.
         newest = list(islice(reversed(self._rows), n_rows))
         table = np.array(newest[::-1], dtype=np.float64)
-        return first, table.reshape(n_rows, len(self.columns))
+        return n_first, table.reshape(n_rows, len(self.columns))

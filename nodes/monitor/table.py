@@ -12,6 +12,8 @@ from sparseskin.messages.text import printable
 
 from .metrics import FLOAT_BITS, PatchMetrics
 
+Summary = Mapping[str, Any]
+"""The summary of a patch, as `PatchMetrics.summary` returns it, or a part of it."""
 NONE = "-"
 WIDTH = 78
 LABELS = {"m": "M", "kind": "phi", "sigma_mid": "noise sigma"}
@@ -143,7 +145,7 @@ def _latency(patches: Sequence[PatchMetrics]) -> tuple[list[str], float]:
     return [text], p50_ms
 
 
-def summary_table(graph: str, patches: Mapping[str, Mapping[str, Any]]) -> str:
+def summary_table(graph: str, patches: Mapping[str, Summary]) -> str:
     """The summary of every patch of a graph as text for a terminal of 80 columns."""
     if len(patches) > FEW:
         text = _many_table(graph, patches)
@@ -152,7 +154,7 @@ def summary_table(graph: str, patches: Mapping[str, Mapping[str, Any]]) -> str:
     return "\n".join(filter(None, [text, doubts_text(patches.values())]))
 
 
-def doubts_text(patches: Iterable[Mapping[str, Any]]) -> str:
+def doubts_text(patches: Iterable[Summary]) -> str:
     """Number of frames that are not to be trusted, their reasons, and what may help; "" of none."""
     # A patch without any judged frame has no trust to report.
     judged = [patch for patch in patches if patch["trust"]["all"]]
@@ -189,7 +191,7 @@ def _reasons(counts: Counter[str]) -> str:
     return text
 
 
-def patch_table(name: str, patch: Mapping[str, Any]) -> str:
+def patch_table(name: str, patch: Summary) -> str:
     """The summary of one patch as text, `WIDTH` characters wide."""
     patch = {key: _cell(value) for key, value in patch.items()}
     frames = patch["frames"]
@@ -223,7 +225,7 @@ def _cell(value: Any) -> Any:
     return value
 
 
-def _frames_text(patch: Mapping[str, Any]) -> str:
+def _frames_text(patch: Summary) -> str:
     frames = patch["frames"]
     text = f"sensed {frames['sensed']}, reconstructed {frames['reconstructed']}, "
     if frames["skipped"]:
@@ -235,7 +237,7 @@ def _frames_text(patch: Mapping[str, Any]) -> str:
     return text
 
 
-def _measured_text(patch: Mapping[str, Any]) -> str:
+def _measured_text(patch: Summary) -> str:
     phi = patch["phi"]
     if patch["rows"] == "rotating":
         phi += ", rotating rows"
@@ -249,7 +251,7 @@ def _measured_text(patch: Mapping[str, Any]) -> str:
     return text
 
 
-def _solver_text(patch: Mapping[str, Any]) -> str:
+def _solver_text(patch: Summary) -> str:
     text = str(patch["solver"])
     if patch["basis"]:
         text += f" in {patch['basis']}"
@@ -264,7 +266,7 @@ def _solver_text(patch: Mapping[str, Any]) -> str:
     return text
 
 
-def _bytes_text(patch: Mapping[str, Any]) -> str:
+def _bytes_text(patch: Summary) -> str:
     # None come in where frames are compressed outside the graph.
     n_in = patch["bytes_in"]
     n_out = patch["bytes_out"]
@@ -276,14 +278,14 @@ def _bytes_text(patch: Mapping[str, Any]) -> str:
     return text
 
 
-def _time_text(patch: Mapping[str, Any]) -> str:
+def _time_text(patch: Summary) -> str:
     text = f"latency {_times(patch['latency_ms'])}"
     if patch["latency_uncertainty_ms"]:
         text += f" (± {patch['latency_uncertainty_ms']:.2f})"
     return f"{text}; solve {_times(patch['solve_ms'])}"
 
 
-def _score_rows(patch: Mapping[str, Any]) -> Iterator[str]:
+def _score_rows(patch: Summary) -> Iterator[str]:
     """PSNR or relative error, and trust: of all frames and of contact frames."""
     against = {"truth": "against the truth", "taxels": "against the recorded taxels"}
     if patch["reference"] in against:
@@ -318,7 +320,7 @@ def _since(stamp_ns: Any) -> str:
     return time.strftime(" since %H:%M:%S", time.localtime(stamp_ns / 1e9))
 
 
-def _many_table(graph: str, patches: Mapping[str, Mapping[str, Any]]) -> str:
+def _many_table(graph: str, patches: Mapping[str, Summary]) -> str:
     """One row a patch: counts of frames, mean PSNR of all and of contact frames, latency."""
     # Patches of a body may have scenes of their own: what was launched names them all.
     title = f" {printable(graph)}: {len(patches)} patches "
@@ -356,7 +358,7 @@ def _many_table(graph: str, patches: Mapping[str, Mapping[str, Any]]) -> str:
     return "\n".join(rows)
 
 
-def _changes(changes: Sequence[Mapping[str, Any]]) -> str:
+def _changes(changes: Sequence[Summary]) -> str:
     """The settings that changed during the run, which the lines below state as they were last."""
     parts = []
     for change in changes[:MAX_CHANGES]:

@@ -23,6 +23,7 @@ from sparseskin.nodes.errors import RefusedError, SettingsError, SparseskinError
 from sparseskin.nodes.lookup import did_you_mean
 from sparseskin.nodes.node import Context, SourceNode, Tick
 from sparseskin.nodes.node_host import is_latched
+from sparseskin.nodes.process.control import Document
 from sparseskin.nodes.recorder.bag.format import TopicInfo, span_ns
 from sparseskin.nodes.recorder.bag.reader import BagReader
 from sparseskin.nodes.settings import Settings, setting
@@ -154,7 +155,7 @@ class Player(SourceNode[PlayerSettings]):
 
     @classmethod
     def facts(cls, settings: PlayerSettings) -> Mapping[str, Any]:
-        facts: dict[str, Any] = {}
+        facts: Document = {}
         # What cannot be read is reported as it is played.
         with (
             BagReader(settings.file, whole=False) as bag,
@@ -252,7 +253,7 @@ class Player(SourceNode[PlayerSettings]):
     def pause(self, paused: bool) -> None:
         self._schedule.toggle_pause(self.context.clock.now_ns())
 
-    def state(self) -> dict[str, Any]:
+    def state(self) -> Document:
         """Pause, rate, and position in recorded seconds."""
         # Stamps of a loop are shifted: the position is that within the recording.
         position_ns = self._stop_ns
@@ -308,10 +309,10 @@ class Player(SourceNode[PlayerSettings]):
         played = f"{state['position_s']:.1f} of {state['length_s']:.1f} s"
         return f"{self._n_frames} frames: {played}, {note}"
 
-    def report(self) -> dict[str, Any]:
+    def report(self) -> Document:
         return {"played": {"file": self.settings.file, "frames": self._n_frames}}
 
-    def close(self, counts: dict[str, Any]) -> None:
+    def close(self, counts: Document) -> None:
         self._bag.close()
 
     def _advance(self) -> None:
@@ -398,8 +399,8 @@ def played_topics(settings: PlayerSettings) -> list[str]:
     for topic in settings.topics:
         if topic not in recorded:
             # All of them: their names are too alike for a nearest one.
-            known = ", ".join(sorted(recorded))
-            raise SettingsError(f"topics: {topic}: not in the file (known: {known})")
+            names = ", ".join(sorted(recorded))
+            raise SettingsError(f"topics: {topic}: not in the file (known: {names})")
 
     if settings.topics:
         return list(settings.topics)

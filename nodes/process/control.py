@@ -16,6 +16,8 @@ from typing import Any
 
 from sparseskin.nodes.errors import SparseskinError
 
+Document = dict[str, Any]
+"""A JSON object: an event, a request or an answer; a report, or the state of a node."""
 PARENT_CHECK_S = 1.0
 """Time between two looks whether the launcher still runs, seconds."""
 MAX_DEPTH = 4
@@ -127,7 +129,7 @@ class Control(Connection):
         except OSError:
             self.closed = True
 
-    def commands(self) -> list[dict[str, Any]]:
+    def commands(self) -> list[Document]:
         """Waiting commands, oldest first; sets `closed` if the launcher has ended."""
         lines = self.lines()
         self.closed = self.closed or lines is None
@@ -150,7 +152,7 @@ class ControlClient(Connection):
             ) from error
         super().__init__(connection)
 
-    def receive(self) -> list[dict[str, Any]] | None:
+    def receive(self) -> list[Document] | None:
         """The objects that have arrived; None once the graph is gone."""
         self.flush()
         lines = self.lines()

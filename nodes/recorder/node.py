@@ -9,7 +9,6 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -17,6 +16,7 @@ from sparseskin.messages import Message
 from sparseskin.messages.wire import SCHEMAS
 from sparseskin.nodes.errors import SettingsError
 from sparseskin.nodes.node import Context, Node
+from sparseskin.nodes.process.control import Document
 from sparseskin.nodes.recorder.bag.format import (
     FILE_SUFFIX,
     PART_SUFFIX,
@@ -71,9 +71,7 @@ class Recorder(Node[RecorderSettings]):
         return settings.topics
 
     @classmethod
-    def values_again(
-        cls, settings: RecorderSettings, n_restarts: int
-    ) -> dict[str, Any]:
+    def values_again(cls, settings: RecorderSettings, n_restarts: int) -> Document:
         # The file of the previous run is kept, whole or not: nothing is written over.
         out = Path(settings.out)
         stem = out.stem.removesuffix(f".restart{n_restarts - 1}")
@@ -96,7 +94,7 @@ class Recorder(Node[RecorderSettings]):
         if self._writer is not None:
             self._guard(self._writer.tick)
 
-    def close(self, counts: dict[str, Any]) -> None:
+    def close(self, counts: Document) -> None:
         writer = self._writer
         if writer is not None:
             self._guard(lambda: writer.close(counts))
@@ -109,7 +107,7 @@ class Recorder(Node[RecorderSettings]):
             text += f" ({self._error})"
         return text
 
-    def report(self) -> dict[str, Any]:
+    def report(self) -> Document:
         recording = {
             "out": self.settings.out,
             "n_messages": self._n_messages,

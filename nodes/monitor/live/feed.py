@@ -26,6 +26,7 @@ from sparseskin.messages.frames import known_forces
 from sparseskin.nodes.monitor.metrics import FrameMetrics
 from sparseskin.nodes.monitor.statistics import COLUMNS, History
 from sparseskin.nodes.numerics.arrays import Floats
+from sparseskin.nodes.process.control import Document
 
 MAX_ANSWERS = 64
 """Answers to requests that are kept for pages."""
@@ -96,7 +97,7 @@ class PatchFeed:
     came_s: dict[str, float] = field(default_factory=dict)
     n_maps: int = 0
     history: History = field(default_factory=History)
-    summary: dict[str, Any] = field(default_factory=dict)
+    summary: Document = field(default_factory=dict)
     lost: int = 0
     latency_s: float = 0.0
     ended: bool = False
@@ -151,14 +152,14 @@ class Feed:
         self.changed = threading.Condition()
         self.poses = poses or {}
         self.patches = {patch: PatchFeed() for patch in patches}
-        self.graph: dict[str, Any] | None = None
+        self.graph: Document | None = None
         #: The start of the graph, until all its nodes run for the first time; None after it.
         self.start: Start | None = None
         self._has_started = False
         now_s = time.monotonic()
         self.graph_came_s = now_s
         self.pulse_s = now_s
-        self.answers: deque[tuple[int, dict[str, Any]]] = deque(maxlen=MAX_ANSWERS)
+        self.answers: deque[tuple[int, Document]] = deque(maxlen=MAX_ANSWERS)
         self.n_answers = 0
         self.closed = False
         self.run = secrets.token_hex(4)
@@ -253,9 +254,9 @@ class Feed:
     def update(
         self,
         *,
-        summaries: dict[str, dict[str, Any]] | None = None,
-        graph: dict[str, Any] | None = None,
-        answer: dict[str, Any] | None = None,
+        summaries: dict[str, Document] | None = None,
+        graph: Document | None = None,
+        answer: Document | None = None,
         ended: str | None = None,
         closed: bool = False,
     ) -> None:
@@ -277,7 +278,7 @@ class Feed:
             if answer is not None or closed:
                 self.changed.notify_all()
 
-    def _set_graph(self, graph: dict[str, Any]) -> None:
+    def _set_graph(self, graph: Document) -> None:
         # By the state before this one.
         was_paused = self.paused
         now_s = time.monotonic()

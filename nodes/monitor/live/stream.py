@@ -17,6 +17,7 @@ from sparseskin.messages import Reconstruction
 from sparseskin.messages.contacts import sum_unit
 from sparseskin.messages.reasons import phrase_of, sentence_of
 from sparseskin.nodes.numerics.arrays import TINY
+from sparseskin.nodes.process.control import Document
 
 from .feed import Feed, PatchFeed
 from .notices import Notices, host_lines
@@ -44,7 +45,7 @@ LABEL = ("label", "share", "age_s", "trusted")
 SLACK_S = 0.005
 """A frame that is early by at most this time is sent, not delayed by another period."""
 
-Part = tuple[dict[str, Any], dict[str, np.ndarray[Any, Any]]]
+Part = tuple[Document, dict[str, np.ndarray[Any, Any]]]
 
 
 def record(
@@ -96,7 +97,7 @@ class StreamReader:
         self._n_maps = dict.fromkeys(feed.patches, -1)
         self._n_rows = {"rows": 0, "events": 0}
         self._n_answers = feed.n_answers
-        self._sent: dict[str, Any] = {}
+        self._sent: Document = {}
         self._frame_due_s = -math.inf
         self._state_at_s = -math.inf
 
@@ -201,11 +202,11 @@ class StreamReader:
             header = {"kind": kind, "columns": history.columns, "now_s": now_s}
             yield header, {"rows": rows.astype(np.float32)}
 
-    def _state(self, now_s: float, closed: bool) -> dict[str, Any]:
+    def _state(self, now_s: float, closed: bool) -> Document:
         """The current state: a small record, which also shows that the monitor is alive."""
         feed = self._feed
         patches = {name: self._patch_state(name, now_s) for name in feed.patches}
-        header: dict[str, Any] = {
+        header: Document = {
             "kind": "state",
             "now_s": now_s,
             "closed": closed,
@@ -223,10 +224,10 @@ class StreamReader:
             header["hosts"] = host_lines(feed.graph or {})
         return header
 
-    def _patch_state(self, name: str, now_s: float) -> dict[str, Any]:
+    def _patch_state(self, name: str, now_s: float) -> Document:
         patch = self._feed.patches[name]
         ages_s = {key: now_s - came_s for key, came_s in patch.came_s.items()}
-        state: dict[str, Any] = {
+        state: Document = {
             "age_s": ages_s,
             "stale_s": patch.stale_s,
             "lost": patch.lost,
@@ -282,7 +283,7 @@ def _reason(word: str) -> dict[str, str] | None:
     }
 
 
-def _contacts(patch: PatchFeed, now_s: float) -> dict[str, Any]:
+def _contacts(patch: PatchFeed, now_s: float) -> Document:
     """Contacts of the frame shown: number and total of all, fields of the strongest."""
     contacts = patch.contacts
     if contacts is None:
