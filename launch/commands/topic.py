@@ -66,6 +66,7 @@ def _list(arguments: argparse.Namespace) -> int:
     subscribers. A latched topic is state: who subscribes late is sent the last message.
     """
     graph = choose_graph(arguments.graph)
+    # In the order of the nodes that publish them.
     topics = list(topics_of(describe(graph)).values())
     rows = []
     for topic in topics:
@@ -175,6 +176,7 @@ def _hz(arguments: argparse.Namespace) -> int:
 
     graph = choose_graph(arguments.graph)
     topic = find_topic(graph, arguments.topic)
+    # A stated number is measured as a node would: it does not give way.
     if arguments.n is None:
         give_way()
     meter = Meter(graph, topic, arguments.json)

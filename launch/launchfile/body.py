@@ -89,12 +89,15 @@ class Patch:
     @property
     def kind(self) -> str:
         """What the patches of a batch share."""
-        return repr((self.simulated, self.host, sorted(self.compressor.items())))
+        # Tables are compared by their texts: lists in them cannot be keys.
+        compressor = sorted(self.compressor.items())
+        return repr((self.simulated, self.host, compressor))
 
     @property
     def simulated(self) -> Table:
         """The setting `simulated` of a sensor node for such patches."""
         s = self.skin
+        # What is None is left to the defaults of the sensor.
         values: Table = {
             "f_max": s.f_max,
             "noise": s.noise,
@@ -171,7 +174,9 @@ def read_body(path: Path, fault: Callable[[str], None]) -> list[Patch]:
     """
     try:
         with path.open(encoding="utf-8") as file:
-            tree = parse_toml(file.read(MAX_FILE_CHARS + 1), MAX_FILE_CHARS)
+            # One more than allowed: that it is too long is seen then.
+            text = file.read(MAX_FILE_CHARS + 1)
+        tree = parse_toml(text, MAX_FILE_CHARS)
     except OSError as error:
         fault(f"{path}: cannot be read ({error.strerror})")
         return []
@@ -187,6 +192,7 @@ def read_body(path: Path, fault: Callable[[str], None]) -> list[Patch]:
     if not isinstance(tables, list) or not 1 <= len(tables) <= MAX_BODY:
         fault(f"{path}: patches: expected 1..{MAX_BODY} tables [[patches]]")
         return []
+
     # A faulty patch is left out, so that all faults are found at once.
     patches: dict[str, Patch] = {}
     for k, table in enumerate(tables):

@@ -40,7 +40,7 @@ TO_NAME = "RECORDING"
 """Placeholder in a launch file for a recording that the user has to name."""
 TABLES = (GRAPH, "nodes", "hosts", "security", SKIN)
 MAX_NODES = 256
-"""Nodes of a graph."""
+"""Nodes of a graph; chosen: each is a process as a rule."""
 MAX_ERRORS = 50
 """Errors of one file that are reported."""
 MAX_ERROR = 1000
@@ -99,26 +99,20 @@ class Checker:
         # What a recording keeps: the file with the changes as comments.
         changes = "".join(f"# --set {override}\n" for override in overrides)
         self.launched = changes + self.text
+
         tables = self.expanded(tables)
         if record is not None:
-            # A process of its own: that it writes a file holds up no other node.
+            # In place of that of the file.
+            tables.pop(RECORDER, None)
+        self.take_places(tables, hosts)
+        if record is not None:
+            # A process of its own: that it writes a file holds up no other node. It has no place:
+            # it runs wherever --record was typed.
             tables[RECORDER] = {"type": "recorder", "out": record, "process": ""}
             self.overridden[RECORDER, "out"] = "--record"
 
-        if hosts:
-            for name, table in tables.items():
-                # The recorder of --record runs wherever that was typed.
-                if name != RECORDER or record is None:
-                    self.places[name] = str(table.pop("host", ""))
-                    check_place(name, self.places[name], hosts, self.fault)
-
         nodes = self.nodes(tables)
-        links: list[Link] = []
-        if not self.errors:
-            links = self.joined(nodes)
-            self.place(nodes, hosts)
-            stated = [name for name, table in tables.items() if "process" in table]
-            check_processes(nodes, stated, self.fault)
+        links = self.connected(nodes, tables, hosts)
         if self.errors:
             raise LaunchError(self.errors[:MAX_ERRORS])
         return LaunchFile(
@@ -134,6 +128,14 @@ class Checker:
             log_dir=graph.log_dir,
             title=self.title,
         )
+
+    def take_places(self, tables: dict[str, Table], hosts: Mapping[str, Host]) -> None:
+        """Take the host of each node out of its table, in a graph of several hosts."""
+        if not hosts:
+            return
+        for name, table in tables.items():
+            self.places[name] = str(table.pop("host", ""))
+            check_place(name, self.places[name], hosts, self.fault)
 
     def nodes(self, tables: dict[str, Table]) -> dict[str, NodeSpec]:
         """The nodes whose tables have no fault, each checked against what the others state."""
@@ -154,11 +156,29 @@ class Checker:
                 self.node_fault(spec.name, spec.values, error)
         return nodes
 
+    def connected(
+        self,
+        nodes: dict[str, NodeSpec],
+        tables: Mapping[str, Table],
+        hosts: Mapping[str, Host],
+    ) -> list[Link]:
+        """The links of the graph, whose nodes are put on their hosts; none if there is an error."""
+        # Of a part of the nodes, faults would be found that the whole graph does not have.
+        if self.errors:
+            return []
+        links = self.joined(nodes)
+        self.place(nodes, hosts)
+        stated = [name for name, table in tables.items() if "process" in table]
+        check_processes(nodes, stated, self.fault)
+        return links
+
     def joined(self, nodes: dict[str, NodeSpec]) -> list[Link]:
         """The links of the graph; none, and a fault noted, where they cannot be made."""
-        classes = {name: (spec.cls, spec.settings) for name, spec in nodes.items()}
+        specs = {}
+        for name, spec in nodes.items():
+            specs[name] = (spec.cls, spec.settings)
         try:
-            return join(classes)
+            return join(specs)
         except SparseskinError as error:
             self.errors.append(f"{self.title}: {error}")
             return []
@@ -306,7 +326,8 @@ class Checker:
                 return settings
             except SparseskinError as error:
                 # A value that was left out has to be stated.
-                if str(error).partition(":")[0] in values.keys() - right.keys():
+                begin, _, _ = str(error).partition(":")
+                if begin in values and begin not in right:
                     return None
                 key, part = self.node_fault(name, right, error)
                 if not key:
@@ -359,7 +380,8 @@ class Checker:
         """Note an error at a place, with the line of the file or the --set it comes from."""
         # The file has the table from which the nodes of a body are made.
         if place[0] == "nodes" and len(place) > 1:
-            place = ("nodes", self.templates.get(place[1], place[1]), *place[2:])
+            _, name, *keys = place
+            place = ("nodes", self.templates.get(name, name), *keys)
         stated = place[1:]
         if place[0] in (SKIN, GRAPH):
             stated = place
@@ -398,7 +420,9 @@ def _line_of(text: str, place: tuple[str, ...]) -> int:
     for number, line in enumerate(text.splitlines(), start=1):
         match = header.match(line)
         if match:
-            table = tuple(part.strip(" \"'") for part in match[1].split("."))
+            # A part of a name may be in quotes.
+            parts = match[1].split(".")
+            table = tuple(part.strip(" \"'") for part in parts)
             if table == place:
                 return number
             if table == place[:-1] or table[: len(place)] == place:

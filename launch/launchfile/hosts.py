@@ -77,7 +77,9 @@ def read_hosts(tree: Mapping[str, Any], fault: Fault) -> dict[str, Host]:
     for name, table in read_tables(tree, "hosts", MAX_HOSTS, fault).items():
         if "address" not in table:
             fault(("hosts", name), "the key 'address' is missing")
-        (host,), _ = read_table(table, ("hosts", name), fault, Host(key=name))
+        default = Host(key=name)
+        (host,), _ = read_table(table, ("hosts", name), fault, default)
+        # Without an address nothing can be placed there: it is reported above.
         if host.address:
             hosts[name] = host
     return hosts
@@ -182,10 +184,14 @@ def read_credentials(
 
     file = folder / f"{key}{SECRET_SUFFIX}"
     key_pair = read_key_pair(file)
+    # ZeroMQ names a peer by its key alone.
     allowed = {public(name): name for name in security.allow}
     # The nodes of this host read from each other with its own key.
     allowed[key_pair.public] = key
-    peers = {name: host.key for name, host in hosts.items() if host.key != key}
-    servers = {name: public(peer_key) for name, peer_key in peers.items()}
+    servers = {}
+    for name, host in hosts.items():
+        # Hosts may share a key.
+        if host.key != key:
+            servers[name] = public(host.key)
     names = known_names(folder)
     return Credentials(key_pair, str(file.resolve()), allowed, names, servers)

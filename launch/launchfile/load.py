@@ -29,6 +29,7 @@ def single_node(name: str, type_name: str, values: Table) -> LaunchFile:
     """
     cls = node_class(type_name)
     settings = cls.Settings.from_mapping(values)
+    # With what depends on this host, as a file that exists already.
     settings.check()
     spec = NodeSpec(name, type_name, cls, values, settings)
     return LaunchFile(name, "", "ipc", {name: spec}, [])
@@ -95,7 +96,8 @@ def load(
         raise LaunchError([_unreadable(title, error)]) from error
     if folder:
         search_in(folder)
-    launch = Checker(title, text, tree, path.stem, path.parent).check(overrides, record)
+    checker = Checker(title, text, tree, path.stem, path.parent)
+    launch = checker.check(overrides, record)
     return replace(launch, folder=folder)
 
 

@@ -55,10 +55,15 @@ class NodeSpec:
     def with_live(self, values: Table) -> Self:
         """The same node with what was changed while it ran."""
         live = self.settings.live_values()
-        changed = {key: v for key, v in values.items() if v != live[key]}
+        changed = {}
+        for key, value in values.items():
+            if value != live[key]:
+                changed[key] = value
         # TOML has no null: what is not stated is left out.
         stated = self.values | changed
-        stated = {key: v for key, v in stated.items() if v is not None}
+        for key, value in changed.items():
+            if value is None:
+                del stated[key]
         settings = replace(self.settings, **changed)
         return replace(self, values=stated, settings=settings)
 

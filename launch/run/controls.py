@@ -70,7 +70,13 @@ class Requests:
         value = request.get("value")
 
         def say(done: bool, text: str) -> None:
-            reply({"id": number[:64], "node": node[:64], "done": done, "text": text})
+            answer = {
+                "id": number[:64],
+                "node": node[:64],
+                "done": done,
+                "text": text,
+            }
+            reply(answer)
 
         try:
             if not all(isinstance(entry, str) for entry in stated):
@@ -99,7 +105,8 @@ class Requests:
 
     def expire(self) -> None:
         """Answer in place of nodes that are late or gone."""
-        for key, (name, say, deadline_s) in list(self._open.items()):
+        for key, request in list(self._open.items()):
+            name, say, deadline_s = request
             node = self._nodes.get(name)
             if node is None or node.exit_code() is not None:
                 why = "has ended"
@@ -185,6 +192,7 @@ class ControlServer:
                 self._send(client, fields)
 
     def close(self) -> None:
+        # Whoever waits for the end of the graph sees it by this.
         for client in list(self._clients):
             self._drop(client)
         self._socket.close()
@@ -217,7 +225,8 @@ class ControlServer:
             elif request.get("watch"):
                 client.watches = True
             elif "describe" in request:
-                self._send(client, {"description": self._describe(request["describe"])})
+                description = self._describe(request["describe"])
+                self._send(client, {"description": description})
             elif request.get("stop") is True:
                 # The handler of the launcher counts it as an interrupt.
                 self._send(client, {"stopping": True})
@@ -260,6 +269,7 @@ class LiveRecording:
             )
         if self._say is not None:
             raise RefusedError("record: the last request is still being done")
+        # Two pages may ask at once: the second one is told.
         if value and self.out is not None:
             raise RefusedError(f"record: already on: {self.out}")
         if not value and self.out is None:
@@ -340,6 +350,7 @@ class Controls:
         """Publish the state of the graph; answer in place of nodes that are late."""
         self._requests.expire()
         self._server.flush()
+        # A node that dies is to be seen at once, a counter in half a second.
         conditions = [self._fleet.condition(node) for node in self._fleet]
         if conditions == self._conditions and awake_s() < self._next_s:
             return
@@ -357,7 +368,9 @@ class Controls:
         return graph_description(self._launch, self._fleet, self._recording.out, node)
 
     def _hear(self, node: NodeProcess, event: Document) -> None:
-        self._recording.hear(node, event["event"])
-        if event["event"] == "answer":
+        kind = event["event"]
+        self._recording.hear(node, kind)
+        if kind == "answer":
             self._requests.answered(event)
+            # Settings may have changed: the state is published with the next look.
             self._next_s = 0.0

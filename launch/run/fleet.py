@@ -69,9 +69,10 @@ class Fleet:
         self._to_pause: set[str] = set()
         self._bound: dict[str, str] = {}
         self._page_token = secrets.token_urlsafe(24)
-        self.restarts = {
-            name: Restarts(spec.restart) for name, spec in launch.nodes.items()
-        }
+        # By name, and for good: a node that is started again is another `NodeProcess`.
+        self.restarts = {}
+        for name, spec in launch.nodes.items():
+            self.restarts[name] = Restarts(spec.restart)
         self.nodes: dict[str, NodeProcess] = {}
         self.exit_code = 0
         self.late_code = 0
@@ -111,8 +112,11 @@ class Fleet:
 
     def add(self, spec: NodeSpec, topics: list[str]) -> None:
         """Start one process more in a graph that runs; it reads the topics."""
-        writers = {topic: node.name for node in self for topic in node.spec.outputs}
-        self._links += [Link(topic, writers[topic], spec.name) for topic in topics]
+        writers: dict[str, str] = {}
+        for node in self:
+            writers |= dict.fromkeys(node.spec.outputs, node.name)
+        for topic in topics:
+            self._links.append(Link(topic, writers[topic], spec.name))
         self.restarts[spec.name] = Restarts(spec.restart)
         self._start_process([spec], late=True)
 
@@ -211,8 +215,8 @@ class Fleet:
 
     def _start_process(self, specs: Sequence[NodeSpec], late: bool) -> None:
         """Start a process of nodes; those that were bound before are bound there again."""
-        configs = [self._config(spec, late) for spec in specs]
-        for node in start_process(list(zip(specs, configs, strict=True))):
+        configured = [(spec, self._config(spec, late)) for spec in specs]
+        for node in start_process(configured):
             self.nodes[node.name] = node
             for pipe in node.pipes:
                 self._selector.register(pipe, selectors.EVENT_READ, node)

@@ -55,10 +55,12 @@ class LogLines:
             self._n_cut = 0
 
         *lines, self._rest = (self._rest + chunk).split(b"\n")
+        # A library may print dots without an end.
         if at_end or len(self._rest) > MAX_LINE_BYTES:
             lines.append(self._rest)
             self._rest = b""
         for line in filter(None, lines):
+            # The line that crosses the limit is still whole.
             if self._left > 0:
                 self._left -= len(line) + LINE_BYTES
                 complete.append(line.decode(errors="replace"))
@@ -180,7 +182,8 @@ class NodeProcess:
         self.pipes = (pipes.channel, pipes.log)
         """Events and log lines, to be waited on."""
         self.closed_pipes: set[Any] = set()
-        self._channel.send({**config, "tally": [spec.outputs, self._tally.fd]})
+        tally = [spec.outputs, self._tally.fd]
+        self._channel.send({**config, "tally": tally})
 
     @property
     def pid(self) -> int:

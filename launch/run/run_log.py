@@ -96,6 +96,7 @@ class RunLog:
 def _remove_old_runs(parent: Path, n_kept: int) -> None:
     # Another launcher may remove the same folders.
     with contextlib.suppress(OSError):
+        # A link is not followed: it may lead anywhere.
         runs = sorted(parent.iterdir(), key=lambda run: run.lstat().st_mtime)
         n_surplus = max(0, len(runs) - n_kept)
         for run in runs[:n_surplus]:

@@ -168,8 +168,15 @@ def _remove_strays(folder: Path) -> None:
     """Remove files of processes that are gone and have no note: a node that was still starting as
     its launcher was killed makes files after the note is gone.
     """
-    noted = {path.stem.rpartition("-")[2] for path in folder.glob("*.json")}
-    numbers = {path.name.partition(".")[0] for path in folder.iterdir()}
+    # A note is NAME-PID.json, any other file PID.WHATEVER.
+    noted = set()
+    for path in folder.glob("*.json"):
+        _, _, number = path.stem.rpartition("-")
+        noted.add(number)
+    numbers = set()
+    for path in folder.iterdir():
+        number, _, _ = path.name.partition(".")
+        numbers.add(number)
     for number in numbers - noted:
         if number.isdecimal() and not os.path.exists(f"/proc/{number}"):
             remove_files(int(number))
@@ -216,7 +223,9 @@ def _read_note(path: Path) -> RunningGraph:
     if not stat.S_ISREG(path.lstat().st_mode):
         raise ValueError(f"{path}: is no file")
     fields: dict[str, Any] = json.loads(path.read_bytes())
-    nodes = {name: RunningNode(**node) for name, node in fields.pop("nodes").items()}
+    nodes = {}
+    for name, node in fields.pop("nodes").items():
+        nodes[name] = RunningNode(**node)
     graph = RunningGraph(**fields, nodes=nodes)
     if graph.label != path.stem or not isinstance(graph.pid, int):
         raise ValueError(f"{path}: is no note")
@@ -263,4 +272,10 @@ def choose_graph(name: str | None, option: str = "--graph") -> RunningGraph:
 
 def _named(graphs: list[RunningGraph], name: str | None) -> list[RunningGraph]:
     """Those of some graphs that a name can mean; None: all."""
-    return [g for g in graphs if name in (None, g.name, g.label, str(g.pid))]
+    if name is None:
+        return graphs
+    matching = []
+    for graph in graphs:
+        if name in (graph.name, graph.label, str(graph.pid)):
+            matching.append(graph)
+    return matching

@@ -64,15 +64,15 @@ def _in_short(node: NodeProcess) -> Document:
     cls = node.spec.cls
     settings = node.spec.settings
     counts = node.counts
-    said = ""
+    log_line = ""
     if not cls.watches:
         # The page itself shows what a monitor would say.
-        said = node.said
+        log_line = node.said
     return {
         "patch": getattr(settings, "patch", None),
         "patches": list(getattr(settings, "patches", ())),
         "refused": sum(counts.get("refused", {}).values()),
-        "said": said,
+        "said": log_line,
         "compiled": node.compiled,
         "lost": sum(counts.get("lost", {}).values()),
         "settings": node.settings,
@@ -91,10 +91,11 @@ def _in_full(node: NodeProcess, with_settings: bool) -> Document:
 
     of_input = {counter: counter for counter in COUNTED}
     of_output = {"sent": "published"}
+    transport, _, _ = node.endpoint.partition(":")
     described: Document = {
         "pid": node.pid,
         "companions": node.config["companions"],
-        "transport": node.endpoint.partition(":")[0],
+        "transport": transport,
         "refused": counts.get("refused", {}),
         "inputs": [counted(topic, of_input) for topic in node.config["inputs"]],
         "outputs": [counted(topic, of_output) for topic in node.outputs],
@@ -106,7 +107,8 @@ def _in_full(node: NodeProcess, with_settings: bool) -> Document:
 
 def _settings(node: NodeProcess) -> list[Document]:
     """Settings of a node as they are described, with their values, stated and in force."""
-    values = {**vars(node.spec.settings), **node.settings}
+    values = vars(node.spec.settings) | node.settings
+    # Settings that were changed while it runs are those of the node, not of the file.
     settings = []
     for entry in node.spec.cls.Settings.described():
         key = entry["key"]

@@ -89,7 +89,10 @@ class Terminal:
 
     def pressed(self) -> list[str]:
         """Keys that were pressed since the last call: characters, or "right", "up", "down"."""
-        if self._keys_fd is None or not select.select([self._keys_fd], [], [], 0)[0]:
+        if self._keys_fd is None:
+            return []
+        ready, _, _ = select.select([self._keys_fd], [], [], 0)
+        if not ready:
             return []
         text = os.read(self._keys_fd, 64).decode(errors="replace")
         keys = re.findall(r"\x1b\[[A-D]|.", text, re.DOTALL)

@@ -45,6 +45,7 @@ def _waits_for_readers(node: NodeProcess, launch: LaunchFile) -> str:
         return ""
     n_readers = settings.wait or int(settings.lockstep)
     published = node.counts.get("published", {})
+
     # Latched topics are sent before it waits.
     begun = any(n for topic, n in published.items() if not is_latched(topic))
     if not n_readers or begun or node.state.get("paused", True):
@@ -62,6 +63,7 @@ def late_at_end(nodes: Iterable[NodeProcess], links: Sequence[Link]) -> list[str
     """The nodes that have not ended, each with those that it waits for: an end comes along the
     links, from the sources on.
     """
+    # One without a late writer is the cause: it holds up the others.
     late = [node.name for node in nodes if not node.ended]
     lines = []
     for name in late:

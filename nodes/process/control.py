@@ -95,6 +95,7 @@ class Connection:
 
     def flush(self) -> bool:
         """Send what is queued; False once too much is queued, or the connection has ended."""
+        # The rest waits for the next call: a peer that is slow holds up nobody.
         try:
             while self._unsent:
                 n_sent = self.connection.send(self._unsent, socket.MSG_DONTWAIT)

@@ -28,6 +28,7 @@ class Tally:
 
     def set(self, topic: str, n: int) -> None:
         """Set the number of messages published on a topic; of others than stated, none is kept."""
+        # A node of a user's may publish more than it has declared.
         place = self._topics.get(topic)
         if place is not None and self._numbers is not None:
             _COUNT.pack_into(self._numbers, _COUNT.size * place, n)

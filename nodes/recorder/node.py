@@ -135,6 +135,7 @@ class Recorder(Node[RecorderSettings]):
 
     def _guard(self, action: Callable[[], None]) -> None:
         """Act on the file; its first error is kept and raised, and ends the recording."""
+        # Raised once: the node logs it, and each later message would repeat it.
         if self._error or self._closed:
             return
         try:
