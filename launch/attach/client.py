@@ -104,6 +104,7 @@ def ask_node(graph: RunningGraph, node: str, command: str, value: Any) -> str:
     """
     request = {"id": "1", "node": node, "command": command, "value": value}
     with closing(ControlClient(graph.control)) as client:
+        # A node answers between two frames, which may take it a while.
         answer = _exchange(graph, client, request, "answer")
     # A node may answer in several lines; a refusal is one.
     text = flowing(answer["text"])

@@ -118,6 +118,7 @@ class Subscription:
         return self
 
     def __next__(self) -> Message:
+        # Of each message anew.
         until_s = time.monotonic() + self._timeout_s
         message = self._take()
         while message is None:

@@ -50,6 +50,7 @@ from .options import (
 )
 
 UNTOUCHED = "3s"
+"""Untouched frames where none are stated: at 10 Hz 30, enough for a standard deviation."""
 STEP_S = 2.0
 """Time for which a guided step collects frames under a load, seconds; chosen: a hand is steady."""
 CURVES = ("shared", "taxel", "linear")

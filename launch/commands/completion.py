@@ -51,6 +51,7 @@ def _print(arguments: argparse.Namespace) -> int:
     from argcomplete.shell_integration import shellcode
 
     # No fallback to file names: where a file is expected, `candidates` offers them.
+    # Without a space: behind "sensor." a key follows.
     options = ["-o", "nospace"]
     print(shellcode(["sparseskin"], False, arguments.shell, options))
     return 0

@@ -119,8 +119,11 @@ def layout_of(arguments: argparse.Namespace) -> "Layout":
     from sparseskin.nodes.sensor.layout.layout import KEYS, Layout
 
     # A command may leave out some of the keys.
-    values = {key: getattr(arguments, key, None) for key in KEYS}
-    stated = {key: value for key, value in values.items() if value is not None}
+    stated = {}
+    for key in KEYS:
+        value = getattr(arguments, key, None)
+        if value is not None:
+            stated[key] = value
     try:
         return Layout(**stated)
     except SettingsError as error:

@@ -52,6 +52,7 @@ def configure_play(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--loop", action="store_true", default=None, help="start again at the end"
     )
+    # The settings have a unit in their names, the options do not.
     seconds: dict[str, Any] = {"type": real(False), "metavar": "S"}
     parser.add_argument("--start", dest="start_s", help="seconds to skip", **seconds)
     parser.add_argument(

@@ -53,7 +53,7 @@ def _reprocess(arguments: argparse.Namespace) -> int:
     """Reprocess all recordings. Those that fail are named, and do not stop the others; those that
     an earlier run has finished are not computed again.
     """
-    # Before the work, which may take long.
+    # A file that cannot be written is reported before the work, which may take long.
     check_summary(arguments.summary)
     outcomes = _outcomes(_jobs(arguments), arguments.executor)
     for outcome in outcomes:

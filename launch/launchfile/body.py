@@ -25,7 +25,7 @@ from sparseskin.nodes.sensor.skin_file import MAX_FILE_CHARS, load_skin, parse_s
 from sparseskin.nodes.settings import Settings, setting
 from sparseskin.nodes.toml import parse_toml
 
-from .tables import Fault, Table, bad_name, read_table
+from .tables import Fault, Place, Table, bad_name, read_table
 
 SKIN = "skin"
 """Name of the table."""
@@ -134,14 +134,15 @@ def read_skin(table: object, folder: Path, fault: Fault) -> list[Batch]:
     n_faults = 0
     patches: list[Patch] = []
 
-    def note(place: tuple[str, ...], problem: str) -> None:
+    def note(place: Place, problem: str) -> None:
         nonlocal n_faults
         n_faults += 1
         fault(place, problem)
 
     (stated,), _ = read_table(table, (SKIN,), note, SkinTable())
     if stated.body:
-        patches = read_body(folder / stated.body, partial(note, (SKIN, "body")))
+        note_of_body = partial(note, (SKIN, "body"))
+        patches = read_body(folder / stated.body, note_of_body)
     elif stated.patches is not None:
         try:
             skin = SkinDescription(
@@ -153,7 +154,8 @@ def read_skin(table: object, folder: Path, fault: Fault) -> list[Batch]:
             )
             # Equal widths, so that the order of names is that of numbers.
             width = len(str(stated.patches - 1))
-            patches = [Patch(f"p{k:0{width}d}", skin) for k in range(stated.patches)]
+            for k in range(stated.patches):
+                patches.append(Patch(f"p{k:0{width}d}", skin))
         except SparseskinError as error:
             key, _, problem = str(error).partition(": ")
             note((SKIN, key), problem)
@@ -189,7 +191,9 @@ def read_body(path: Path, fault: Callable[[str], None]) -> list[Patch]:
             hint = did_you_mean(key, BODY_KEYS)
             fault(f"{path}: {key[:40]}: unknown key{hint}")
     tables = tree.get("patches")
-    if not isinstance(tables, list) or not 1 <= len(tables) <= MAX_BODY:
+    if not isinstance(tables, list):
+        tables = []
+    if not 1 <= len(tables) <= MAX_BODY:
         fault(f"{path}: patches: expected 1..{MAX_BODY} tables [[patches]]")
         return []
 

@@ -19,7 +19,7 @@ from sparseskin.nodes.settings import Settings, setting
 from sparseskin.nodes.toml import toml_or_text
 
 from .hosts import (
-    Host,
+    Hosts,
     check_exposure,
     check_place,
     give_ports,
@@ -29,7 +29,7 @@ from .hosts import (
 from .processes import Composition, check_processes
 from .spec import LAUNCHER, LIVE_RECORDER, LaunchError, LaunchFile, NodeSpec
 from .stated import as_words
-from .tables import Table, read_table, read_tables
+from .tables import Place, Table, read_table, read_tables
 
 RECORDER = "recorder"
 SKIN = "skin"
@@ -72,7 +72,7 @@ class Checker:
     folder: Path = Path()
     launched: str = ""
     errors: list[str] = field(default_factory=list)
-    overridden: dict[tuple[str, ...], str] = field(default_factory=dict)
+    overridden: dict[Place, str] = field(default_factory=dict)
     templates: dict[str, str] = field(default_factory=dict)
     supervision: list[Settings] = field(default_factory=list)
     places: dict[str, str] = field(default_factory=dict)
@@ -129,7 +129,7 @@ class Checker:
             title=self.title,
         )
 
-    def take_places(self, tables: dict[str, Table], hosts: Mapping[str, Host]) -> None:
+    def take_places(self, tables: dict[str, Table], hosts: Hosts) -> None:
         """Take the host of each node out of its table, in a graph of several hosts."""
         if not hosts:
             return
@@ -160,7 +160,7 @@ class Checker:
         self,
         nodes: dict[str, NodeSpec],
         tables: Mapping[str, Table],
-        hosts: Mapping[str, Host],
+        hosts: Hosts,
     ) -> list[Link]:
         """The links of the graph, whose nodes are put on their hosts; none if there is an error."""
         # Of a part of the nodes, faults would be found that the whole graph does not have.
@@ -183,11 +183,14 @@ class Checker:
             self.errors.append(f"{self.title}: {error}")
             return []
 
-    def place(self, nodes: dict[str, NodeSpec], hosts: Mapping[str, Host]) -> None:
+    def place(self, nodes: dict[str, NodeSpec], hosts: Hosts) -> None:
         """Put nodes on their hosts, with the ports at which they publish there."""
         # All that publish, read or not: a recorder more on one host moves no port of another.
         places = self.places
-        publish = {name: places[name] for name in places if nodes[name].outputs}
+        publish = {}
+        for name, place in places.items():
+            if nodes[name].outputs:
+                publish[name] = place
         endpoints = give_ports(publish, hosts, self.fault)
         for name, place in places.items():
             public = endpoints.get(name, "")
@@ -261,7 +264,7 @@ class Checker:
             self.errors.append(f"--set {text}: unknown node '{node}'{hint}")
             return
         value = toml_or_text(raw)
-        place: tuple[str, ...] = (node, key)
+        place: Place = (node, key)
         if part is not None:
             # One value of a table: the others stay.
             table = tables[node].get(key)
@@ -364,11 +367,12 @@ class Checker:
         else:
             # The line may begin with a value, as the name of a file.
             problem = str(error)
-            equal = (k for k, value in values.items() if value and value == begin)
-            key = next(equal, "")
+            equal = [k for k, value in values.items() if value and value == begin]
+            key = next(iter(equal), "")
             part = ""
         if part and part not in values[key]:
             part = ""
+        # Not all of them are known.
         place = tuple(filter(None, ("nodes", name, key, part)))
         problem = as_words(problem, lambda key: f"--set {name}.{key}=")
         if TO_NAME in problem:
@@ -376,7 +380,7 @@ class Checker:
         self.fault(place, problem)
         return key, part
 
-    def fault(self, place: tuple[str, ...], problem: str) -> None:
+    def fault(self, place: Place, problem: str) -> None:
         """Note an error at a place, with the line of the file or the --set it comes from."""
         # The file has the table from which the nodes of a body are made.
         if place[0] == "nodes" and len(place) > 1:
@@ -412,10 +416,10 @@ def _to_name(node: str, values: Table) -> str:
     return ""
 
 
-def _line_of(text: str, place: tuple[str, ...]) -> int:
+def _line_of(text: str, place: Place) -> int:
     """Number of the line of a key, or of the header of its table, or the first in it; 0: none."""
     header = re.compile(r"\s*\[\s*([^\]]+?)\s*\]")
-    table: tuple[str, ...] = ()
+    table: Place = ()
     nearest = 0
     for number, line in enumerate(text.splitlines(), start=1):
         match = header.match(line)

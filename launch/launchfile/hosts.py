@@ -46,8 +46,13 @@ class Host(Settings):
             )
 
 
+Hosts = Mapping[str, Host]
+"""The hosts of a graph by their names."""
+
+
 def _is_of_a_host(address: str) -> bool:
     try:
+        # A name would have to be looked up, by each host its own way.
         parsed = ipaddress.IPv4Address(address)
     except ValueError:
         return False
@@ -86,7 +91,7 @@ def read_hosts(tree: Mapping[str, Any], fault: Fault) -> dict[str, Host]:
 
 
 def read_security(
-    tree: Mapping[str, Any], hosts: Mapping[str, Host], folder: Path, fault: Fault
+    tree: Mapping[str, Any], hosts: Hosts, folder: Path, fault: Fault
 ) -> Security | None:
     """The table [security], its folder of keys relative to that of the launch file; or None."""
     if "security" not in tree:
@@ -112,7 +117,7 @@ def read_security(
 
 
 def check_exposure(
-    hosts: Mapping[str, Host], security: Security | None, insecure: bool, fault: Fault
+    hosts: Hosts, security: Security | None, insecure: bool, fault: Fault
 ) -> None:
     """Refuse hosts whose topics anyone on the network could read, unless the file states it."""
     for name, host in hosts.items():
@@ -125,7 +130,7 @@ def check_exposure(
             )
 
 
-def check_place(name: str, host: str, hosts: Mapping[str, Host], fault: Fault) -> None:
+def check_place(name: str, host: str, hosts: Hosts, fault: Fault) -> None:
     """Check that the host of a node is one of the graph."""
     if not host:
         fault(("nodes", name), f"the key 'host' is missing (hosts: {', '.join(hosts)})")
@@ -135,13 +140,12 @@ def check_place(name: str, host: str, hosts: Mapping[str, Host], fault: Fault) -
         )
 
 
-def give_ports(
-    places: Mapping[str, str], hosts: Mapping[str, Host], fault: Fault
-) -> dict[str, str]:
+def give_ports(places: Mapping[str, str], hosts: Hosts, fault: Fault) -> dict[str, str]:
     """Public endpoint of each node that publishes, by the name of its host; the n-th node of a
     host, in the order of the launch file, gets its base port + n.
     """
     endpoints: dict[str, str] = {}
+    # Ports follow from the file alone, so that all hosts agree on them.
     next_port = {name: host.base_port for name, host in hosts.items()}
     for node, host in places.items():
         port = next_port[host]
@@ -171,9 +175,7 @@ class Credentials:
     servers: Mapping[str, str]
 
 
-def read_credentials(
-    security: Security, key: str, hosts: Mapping[str, Host]
-) -> Credentials:
+def read_credentials(security: Security, key: str, hosts: Hosts) -> Credentials:
     """Read the key files that the host with a key needs.
     Raises KeyFileError if one is missing or cannot be used.
     """

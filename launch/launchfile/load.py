@@ -118,6 +118,7 @@ def load_tables(
     """Check a launch file that a program made: its tables [nodes.NAME].
     Raises SparseskinError with the first error that was found.
     """
+    # A text too, which a recording keeps; JSON values of these are TOML as well.
     lines = []
     for node, table in tables.items():
         lines.append(f"[nodes.{node}]\n")

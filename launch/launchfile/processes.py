@@ -45,6 +45,7 @@ def check_processes(
 
     `stated` are the nodes that state the key themselves. That of [graph] is one process a host.
     """
+    # The first node of each name leads: the others are compared with it.
     leaders: dict[str, NodeSpec] = {}
     for name in stated:
         spec = specs[name]
@@ -78,6 +79,7 @@ def _check_same(leader: NodeSpec, spec: NodeSpec, fault: Fault) -> None:
 
 
 def _settings_of_process(spec: NodeSpec) -> Table:
+    # A list, as the file states it: that is how the difference is reported.
     scheduling = asdict(spec.scheduling)
     scheduling["cpus"] = list(spec.scheduling.cpus)
     return scheduling | asdict(spec.restart)

@@ -160,6 +160,7 @@ class LaunchFile:
 
     def _credentials(self, host_name: str) -> Credentials | None:
         """The keys of one host ("": the graph has but one), read from their files; or None."""
+        # Read here and not with the file: each host has the secret of its own key alone.
         if self.security is None:
             return None
         key = self.security.key

@@ -12,13 +12,15 @@ from sparseskin.nodes.settings import Settings
 
 Table = dict[str, Any]
 """A table of TOML: its values by their keys."""
-Fault = Callable[[tuple[str, ...], str], None]
+Place = tuple[str, ...]
+"""Keys that lead to a value, from the outermost table on."""
+Fault = Callable[[Place, str], None]
 """Called with the place and the text of each error."""
 
 
 def read_table(
     table: object,
-    place: tuple[str, ...],
+    place: Place,
     fault: Fault,
     *defaults: Settings,
     more: bool = False,

@@ -81,7 +81,8 @@ def run_job(job: Job, progress: bool = False) -> Outcome:
         n_bytes = source.stat().st_size
     except SparseskinError as error:
         return Outcome(job, {}, str(error))
-    return Outcome(job, patches, "", n_bytes, time.monotonic() - begin_s)
+    seconds = time.monotonic() - begin_s
+    return Outcome(job, patches, n_bytes=n_bytes, seconds=seconds)
 
 
 def is_finished(job: Job, source: Path) -> bool:
@@ -110,6 +111,7 @@ def origin_of(job: Job, bag: BagReader) -> str:
     """Origin of the result of a job, as it is kept in it: the command and the launch file of its
     recording.
     """
+    # By it, an earlier result of the same work is recognised.
     changes = " ".join(f"--set {text}" for text in job.overrides)
     command = f"# sparseskin reprocess {Path(job.source).name} {changes}".rstrip()
     return f"{command} --from {job.start_from}\n{bag.metadata.get('launch', '')}"
@@ -148,8 +150,10 @@ def make_graph(job: Job, bag: BagReader, out: Path) -> LaunchFile:
     contradicts the settings.
     """
     topics = [split_topic(topic) for topic in bag.topics]
-    patch = _only_patch({patch for patch, _ in topics}, names_of(bag))
+    patches = {patch for patch, _ in topics}
+    patch = _only_patch(patches, names_of(bag))
     present = {schema for _, schema in topics}
+    # Recorded measurements are of the compressor that made them.
     is_measured = job.start_from == "measurements"
     if is_measured and job.changes("compressor"):
         raise SettingsError(
@@ -210,6 +214,7 @@ def iterations_of(recorded: SolverState) -> Document:
     """Settings of the reconstructor that give each frame the iterations that it had, where their
     number followed from the speed of the host that recorded it.
     """
+    # Each frame had as many as fitted into its time, of which tiles are the measure.
     if recorded.frame_tiles:
         times = {"frame_tiles": recorded.frame_tiles, "step_tiles": recorded.step_tiles}
         return {"iterations": recorded.max_iterations, "options": times}

@@ -94,7 +94,8 @@ class Pipeline(Bus):
             # This thread is the middle one: the solver works here.
             delivered = self._deliver(messages)
             # What listeners process later is processed at the time of now.
-            self._delivered.give((self._clock.now_ns(), self._behind))
+            now_ns = self._clock.now_ns()
+            self._delivered.give((now_ns, self._behind))
             self._behind = []
             _advance(self._clock, _newest_ns(delivered))
             yield delivered

@@ -74,7 +74,10 @@ class Quality:
             self.contact.add(value)
 
     def summary(self) -> Document:
-        return {"all": self.every.summary(), "contact": self.contact.summary()}
+        return {
+            "all": self.every.summary(),
+            "contact": self.contact.summary(),
+        }
 
 
 def _trust_summary(trusted: Extent) -> Document | None:
@@ -356,9 +359,13 @@ class PatchMetrics:
         if not self.reconstructed or len(self.changes) >= MAX_CHANGES:
             return
         if old != new and old not in (None, "") and new != "":
-            self.changes.append(
-                {"frame": self.reconstructed, "setting": name, "from": old, "to": new}
-            )
+            change = {
+                "frame": self.reconstructed,
+                "setting": name,
+                "from": old,
+                "to": new,
+            }
+            self.changes.append(change)
 
     def end(self, schema: str, n_messages: int) -> None:
         """End a topic after n_messages: the publisher's own count is the right one."""
@@ -497,7 +504,8 @@ class PatchMetrics:
         if phi is not None:
             summary["ratio"] = phi.n / phi.m
         if phi is not None and self.bits is not None:
-            summary["ratio_bits"] = FLOAT_BITS * phi.n / (phi.m * self.bits)
+            n_bits = phi.m * self.bits
+            summary["ratio_bits"] = FLOAT_BITS * phi.n / n_bits
         return summary
 
     def _accuracy_summary(self) -> Document:

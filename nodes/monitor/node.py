@@ -105,7 +105,9 @@ class MonitorSettings(Settings):
     @property
     def groups(self) -> dict[str, tuple[str, ...]]:
         """Names of the patches of each batch, by its name; of a single patch its own."""
-        groups: dict[str, tuple[str, ...]] = {name: (name,) for name in self.patches}
+        groups: dict[str, tuple[str, ...]] = {}
+        for name in self.patches:
+            groups[name] = (name,)
         for batch, names in (self.batches or {}).items():
             groups[batch] = tuple(names)
         return groups
@@ -219,7 +221,8 @@ class Monitor(Node[MonitorSettings]):
                 self._add(part)
             return ()
         # A state of a batch is one of each of its patches.
-        for name in self._groups.get(message.patch, (message.patch,)):
+        names = self._groups.get(message.patch, (message.patch,))
+        for name in names:
             if name != message.patch:
                 message = replace(message, patch=name)
             self._add(message)
@@ -320,7 +323,8 @@ class Monitor(Node[MonitorSettings]):
         # It is there already if the monitor has been killed and started again.
         self._opener.unlink(missing_ok=True)
         flags = os.O_WRONLY | os.O_CREAT | os.O_EXCL
-        with os.fdopen(os.open(self._opener, flags, 0o600), "w") as file:
+        opener = os.open(self._opener, flags, 0o600)
+        with os.fdopen(opener, "w") as file:
             file.write(f'<meta http-equiv="refresh" content="0; url={url}">\n')
         return webbrowser.open(self._opener.as_uri())
 
@@ -364,10 +368,12 @@ def _published_frames(
     if not needed <= counts_of.keys():
         return frames
 
-    published = {**frames, "sensed": counts_of[sensed]["published"][sensed]}
+    published = dict(frames)
+    published["sensed"] = counts_of[sensed]["published"][sensed]
     if again:
-        published["reconstructed"] = counts_of[answered]["published"][answered]
-        published["skipped"] = counts_of[answered]["skipped"].get(measured, 0)
+        counts = counts_of[answered]
+        published["reconstructed"] = counts["published"][answered]
+        published["skipped"] = counts["skipped"].get(measured, 0)
     n_answered = published["reconstructed"] + published["skipped"]
     if sensed == taxels:
         n_answered += published.get("quiet", 0)

@@ -40,7 +40,11 @@ class Extent:
         """{mean, min, max}; None without numbers."""
         if not self.count:
             return None
-        return {"mean": self.mean, "min": self.low, "max": self.high}
+        return {
+            "mean": self.mean,
+            "min": self.low,
+            "max": self.high,
+        }
 
 
 class Quantiles:

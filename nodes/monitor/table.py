@@ -119,7 +119,8 @@ def _contacts(patches: Sequence[PatchMetrics]) -> list[str]:
     loads = [m.load for m in patches if m.load is not None]
     if contacts and units:
         n_contacts = sum(c.id.size for c in contacts)
-        total = sum(float(c.total.sum()) for c in contacts)
+        totals = [float(c.total.sum()) for c in contacts]
+        total = sum(totals)
         return [summary(n_contacts, total, units[0])]
     if any(loads):
         return [f"{sum(loads):.3g} {sum_unit(units[0])}"]
@@ -150,16 +151,21 @@ def summary_table(graph: str, patches: Mapping[str, Summary]) -> str:
     if len(patches) > FEW:
         text = _many_table(graph, patches)
     else:
-        text = "\n".join(patch_table(name, patch) for name, patch in patches.items())
-    return "\n".join(filter(None, [text, doubts_text(patches.values())]))
+        tables = [patch_table(name, patch) for name, patch in patches.items()]
+        text = "\n".join(tables)
+    doubts = doubts_text(patches.values())
+    if doubts:
+        text += f"\n{doubts}"
+    return text
 
 
 def doubts_text(patches: Iterable[Summary]) -> str:
     """Number of frames that are not to be trusted, their reasons, and what may help; "" of none."""
     # A patch without any judged frame has no trust to report.
     judged = [patch for patch in patches if patch["trust"]["all"]]
-    n_untrusted = sum(patch["trust"]["all"]["untrusted"] for patch in judged)
-    n_frames = sum(patch["trust"]["all"]["frames"] for patch in judged)
+    trusts = [patch["trust"]["all"] for patch in judged]
+    n_untrusted = sum(trust["untrusted"] for trust in trusts)
+    n_frames = sum(trust["frames"] for trust in trusts)
     if not n_untrusted:
         return ""
 

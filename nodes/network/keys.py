@@ -92,7 +92,9 @@ def read_key_pair(path: Path) -> KeyPair:
 
     secret = _key_in(path, check)
     try:
-        return KeyPair(zmq.curve_public(secret.encode()).decode(), secret)
+        # The public key follows from the secret one.
+        public = zmq.curve_public(secret.encode())
+        return KeyPair(public.decode(), secret)
     except (zmq.ZMQError, ValueError) as error:
         raise KeyFileError(f"{path}: holds no secret key") from error
 
@@ -152,18 +154,21 @@ def _key_in(path: Path, check: Callable[[os.stat_result], None]) -> str:
         with path.open("rb") as file:
             # Of the open file: the path may name another one a moment later.
             check(os.fstat(file.fileno()))
-            lines = file.read(MAX_KEY_FILE_BYTES).decode(errors="replace").splitlines()
+            content = file.read(MAX_KEY_FILE_BYTES)
     except OSError as error:
         hint = ""
         if not path.exists():
             hint = f" (make one: sparseskin keys make {path.stem})"
         raise KeyFileError(f"{path}: {error.strerror}{hint}") from error
 
-    # A key of Z85 may begin with "#", a comment begins with "# ".
-    stripped = map(str.strip, lines)
-    keys = [line for line in stripped if line and not line.startswith("# ")]
-    if len(keys) != 1 or len(keys[0]) != KEY_CHARACTERS or not _Z85.fullmatch(keys[0]):
-        raise KeyFileError(
-            f"{path}: expected one key of {KEY_CHARACTERS} characters in it"
-        )
-    return keys[0]
+    keys = []
+    for line in content.decode(errors="replace").splitlines():
+        key = line.strip()
+        # A key of Z85 may begin with "#", a comment begins with "# ".
+        if key and not key.startswith("# "):
+            keys.append(key)
+    if len(keys) == 1:
+        (key,) = keys
+        if len(key) == KEY_CHARACTERS and _Z85.fullmatch(key):
+            return key
+    raise KeyFileError(f"{path}: expected one key of {KEY_CHARACTERS} characters in it")

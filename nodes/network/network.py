@@ -15,7 +15,7 @@ from sparseskin.nodes.clock import SAME_CLOCK, ClockEstimate, ClockOffset
 from sparseskin.nodes.files import check_private
 
 from .keys import KeyPair
-from .sockets import Peer, Reader, Writer, events, read_times
+from .sockets import Context, Peer, Reader, Socket, Writer, events, read_times
 
 if TYPE_CHECKING:
     from .gate import Gate
@@ -52,7 +52,7 @@ class Network:
 
     def __init__(
         self,
-        context: zmq.Context[Any],
+        context: Context,
         config: Mapping[str, Any],
         now_ns: Callable[[], int],
         log: Callable[[str], None],
@@ -73,7 +73,7 @@ class Network:
         self._end_ask: int | None = None
         self._end_due_ns = 0
         self._reader: Reader | None = None
-        self._monitor: zmq.Socket[bytes] | None = None
+        self._monitor: Socket | None = None
         self._by_endpoint: dict[str, Peer] = {}
         self._retry_ns: dict[str, int] = {}
         self._logged: set[tuple[str, str]] = set()
@@ -95,7 +95,8 @@ class Network:
         if first is not None:
             self._gate = first._gate
         # Who can be reached by TCP admits its readers; the path of a socket admits one user alone.
-        if self._gate is None and (security or public or endpoint.startswith("tcp:")):
+        is_reachable = bool(public) or endpoint.startswith("tcp:")
+        if self._gate is None and (security or is_reachable):
             from .gate import Gate
 
             allowed = security.get("allowed", {})
@@ -154,7 +155,8 @@ class Network:
             if peer.writer in self._companions:
                 self._reader.connect(_within(peer.writer))
             else:
-                self._reader.connect(peer.endpoint, peer.key, bool(peer.host))
+                is_distant = bool(peer.host)
+                self._reader.connect(peer.endpoint, peer.key, is_distant)
 
     def serve(self) -> None:
         """Process events of the gate and of connections; connect again; ask for the time."""

@@ -68,19 +68,22 @@ OVER_NETWORK_MS = {
 }
 """Options of sockets whose links can break silently, for all later binds and connections."""
 
+Socket = zmq.Socket[bytes]
+Context = zmq.Context[Socket]
+
 _NOBLOCK = int(zmq.NOBLOCK)
 _EVENTS = int(zmq.EVENTS)
 _POLLIN = int(zmq.POLLIN)
 
 
-def make_context() -> zmq.Context[zmq.Socket[bytes]]:
+def make_context() -> Context:
     """Return a context whose sockets never delay the end of a process."""
-    context: zmq.Context[zmq.Socket[bytes]] = zmq.Context()
+    context: Context = zmq.Context()
     context.linger = 0
     return context
 
 
-def events(monitor: zmq.Socket[bytes]) -> Iterator[tuple[int, int, str]]:
+def events(monitor: Socket) -> Iterator[tuple[int, int, str]]:
     """Waiting events of a socket monitor, with their values and endpoints: zmq_socket_monitor(3).
 
     `zmq.utils.monitor` does the same and imports asyncio, which every node would wait for.
@@ -93,7 +96,7 @@ def events(monitor: zmq.Socket[bytes]) -> Iterator[tuple[int, int, str]]:
         yield event, value, endpoint.decode(errors="replace")
 
 
-def _set_options(socket: zmq.Socket[bytes], options: Mapping[Any, Any]) -> None:
+def _set_options(socket: Socket, options: Mapping[Any, Any]) -> None:
     for option, value in options.items():
         socket.setsockopt(option, value)
 
@@ -124,7 +127,7 @@ class Writer:
 
     def __init__(
         self,
-        context: zmq.Context[Any],
+        context: Context,
         endpoint: str,
         name: str = "writer",
         *,
@@ -133,7 +136,7 @@ class Writer:
         now_ns: Callable[[], int] | None = None,
         log: Callable[[str], None] = lambda line: None,
     ) -> None:
-        self.socket: zmq.Socket[bytes] = context.socket(zmq.XPUB)
+        self.socket: Socket = context.socket(zmq.XPUB)
         # Each subscription arrives, not the first of a topic alone: late readers get its state.
         self.socket.setsockopt(zmq.XPUB_VERBOSE, 1)
         self.socket.setsockopt(zmq.SNDHWM, QUEUE_FRAMES)
@@ -148,8 +151,8 @@ class Writer:
             raise zmq.ZMQError(zmq.EADDRINUSE)
         self.socket.bind(endpoint)
         # Where it was bound: the port may have been left to the system.
-        endpoint_bytes = self.socket.getsockopt(zmq.LAST_ENDPOINT)
-        self.endpoint = endpoint_bytes.rstrip(b"\0").decode()
+        last_endpoint: bytes = self.socket.last_endpoint  # type: ignore[assignment]
+        self.endpoint = last_endpoint.decode()
         if public:
             _set_options(self.socket, OVER_NETWORK_MS)
             self.socket.bind(public)
@@ -188,7 +191,9 @@ class Writer:
 
     def note(self, reader: str, text: str) -> None:
         """Send a note to a reader, under its presence tag."""
-        self.socket.send(b"%b%b\0%b" % (PRESENCE, reader.encode(), text.encode()))
+        # As in any message, a 0 stands between topic and payload.
+        tag = PRESENCE + reader.encode()
+        self.socket.send(tag + b"\0" + text.encode())
 
     def serve_subscriptions(self) -> None:
         """Process waiting subscriptions: note present readers, repeat latched messages."""
@@ -207,7 +212,8 @@ class Writer:
             topic = frame.bytes[1:]
             self._count_subscription(joins)
             if topic.startswith(PRESENCE):
-                self._note_presence(topic[1:].decode(errors="replace"), joins)
+                tag = topic[1:].decode(errors="replace")
+                self._note_presence(tag, joins)
             elif joins:
                 self._add_prefix(topic)
                 # A reader that comes late gets the state that holds.
@@ -325,7 +331,7 @@ class Reader:
 
     def __init__(
         self,
-        context: zmq.Context[Any],
+        context: Context,
         name: str,
         endpoints: Iterable[str],
         topics: Iterable[str],
@@ -334,7 +340,7 @@ class Reader:
         read_ahead: int = QUEUE_FRAMES,
         observes: bool = False,
     ) -> None:
-        self.socket: zmq.Socket[bytes] = context.socket(zmq.SUB)
+        self.socket: Socket = context.socket(zmq.SUB)
         self.socket.setsockopt(zmq.MAXMSGSIZE, MAX_MESSAGE_BYTES)
         if read_ahead == NEWEST_ALONE:
             # Conflation keeps one subscription of several, too.

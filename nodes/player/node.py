@@ -178,7 +178,8 @@ class Player(SourceNode[PlayerSettings]):
         states: dict[str, Message] = {}
         for recorded in self._bag.messages(self._states):
             if recorded.stamp_ns <= at_ns or recorded.topic not in states:
-                states[recorded.topic] = self._decoded(recorded.topic, recorded.payload)
+                state = self._decoded(recorded.topic, recorded.payload)
+                states[recorded.topic] = state
         return list(states.values())
 
     @property
@@ -310,7 +311,11 @@ class Player(SourceNode[PlayerSettings]):
         return f"{self._n_frames} frames: {played}, {note}"
 
     def report(self) -> Document:
-        return {"played": {"file": self.settings.file, "frames": self._n_frames}}
+        played = {
+            "file": self.settings.file,
+            "frames": self._n_frames,
+        }
+        return {"played": played}
 
     def close(self, counts: Document) -> None:
         self._bag.close()

@@ -98,7 +98,7 @@ class Recorder(Node[RecorderSettings]):
         writer = self._writer
         if writer is not None:
             self._guard(lambda: writer.close(counts))
-        # A late message must not begin a new file.
+        # A late message must not begin a new file, nor add to one that is complete.
         self._closed = True
 
     def status(self) -> str:
@@ -122,6 +122,7 @@ class Recorder(Node[RecorderSettings]):
         return self._writer.n_messages
 
     def _write(self, message: Message) -> None:
+        # Made with the first message: a recorder that hears nothing leaves no file.
         if self._writer is None:
             metadata = metadata_of(self.settings.launch, self.settings.source)
             # Offline, where a recording is complete or not at all, chunks are as large as they may.

@@ -67,7 +67,8 @@ class Start:
             n_done = sum(done for done, _ in counts)
             n_all = sum(of for _, of in counts)
             return cls(n_done, n_all, compiles=True)
-        return cls(len(nodes) - len(waiting), len(nodes), compiles=False)
+        n_done = len(nodes) - len(waiting)
+        return cls(n_done, len(nodes), compiles=False)
 
 
 @dataclass
@@ -245,7 +246,9 @@ class Feed:
         # A frame that will be complete is shown whole.
         came_s = feed.came_s.get(Reconstruction.schema, -math.inf)
         if now_s - came_s > feed.stale_s:
-            feed.maps = {**feed.maps, message.schema: known_forces(message)}
+            # A new table: pages that are being sent the old one read it on.
+            feed.maps = dict(feed.maps)
+            feed.maps[message.schema] = known_forces(message)
             if isinstance(message, Reconstruction):
                 feed.note(message, now_s)
             feed.came_s[message.schema] = now_s

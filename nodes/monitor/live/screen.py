@@ -52,7 +52,8 @@ def screen(feed: Feed, notices: Notices, status: str) -> str:
             if patch.summary:
                 summaries[name] = patch.summary
         if summaries:
-            lines += summary_table(graph.get("name", ""), summaries).split("\n")
+            name = graph.get("name", "")
+            lines += summary_table(name, summaries).split("\n")
     return "\n".join(line[:WIDTH] for line in lines)
 
 

@@ -45,18 +45,19 @@ LABEL = ("label", "share", "age_s", "trusted")
 SLACK_S = 0.005
 """A frame that is early by at most this time is sent, not delayed by another period."""
 
-Part = tuple[Document, dict[str, np.ndarray[Any, Any]]]
+Arrays = dict[str, np.ndarray[Any, Any]]
+Part = tuple[Document, Arrays]
+"""A record before it is encoded: its header and its arrays by their names."""
 
 
-def record(
-    header: Mapping[str, Any], arrays: Mapping[str, np.ndarray[Any, Any]]
-) -> bytes:
+def record(header: Mapping[str, Any], arrays: Arrays) -> bytes:
     """One record as bytes; numbers that are not finite become null in the header."""
     # A page reads arrays by these, one after the other, from the data.
     forms = []
     data = b""
     for name, array in arrays.items():
-        forms.append([name, array.dtype.str, list(array.shape)])
+        shape = list(array.shape)
+        forms.append([name, array.dtype.str, shape])
         data += np.ascontiguousarray(array).tobytes()
     body = finite({**header, "arrays": forms})
     head = json.dumps(body, separators=(",", ":")).encode()
@@ -176,7 +177,7 @@ class StreamReader:
         is_new = self._is_new(f"map {name}", reconstruction)
         is_new |= self._is_new(f"contacts {name}", contacts)
 
-        arrays: dict[str, np.ndarray[Any, Any]] = {}
+        arrays: Arrays = {}
         if self._patch is not None:
             arrays |= patch.maps
             if reconstruction is not None:
@@ -257,7 +258,7 @@ class StreamReader:
         return is_new
 
 
-def _measured(patch: PatchFeed) -> dict[str, np.ndarray[Any, Any]]:
+def _measured(patch: PatchFeed) -> Arrays:
     """Measurements of the frame shown in 1/127 of its largest, int8: for the eye; {}: not known."""
     # A frame that was skipped or lost is not among them.
     by_stamp = {each.stamp_ns: each for each in patch.measurements}
@@ -317,7 +318,7 @@ def _skin(name: str, patch: PatchFeed, pose: Sequence[float] | None) -> Part:
         header[field] = getattr(skin, field)
     header["sum_unit"] = sum_unit(skin.unit)
 
-    arrays: dict[str, np.ndarray[Any, Any]] = {}
+    arrays: Arrays = {}
     if skin.mask is not None:
         arrays["mask"] = skin.mask.view(np.uint8)
     if skin.points is not None:
