@@ -243,13 +243,13 @@ def _run_log(launch: "LaunchFile") -> "RunLog | None":
     """The log files of a run; None, with a warning, if the default folder cannot be made."""
     from sparseskin.launch.run.run_log import MAX_RUNS, RunLog
     from sparseskin.nodes.errors import SparseskinError
-    from sparseskin.nodes.files import user_folder
+    from sparseskin.nodes.files import state_folder
 
     # A folder that is stated must be usable; the default one need not be.
     if launch.log_dir:
         return RunLog(Path(launch.log_dir), launch.name, time.time())
     try:
-        return RunLog(user_folder("state") / "log", launch.name, time.time(), MAX_RUNS)
+        return RunLog(state_folder() / "log", launch.name, time.time(), MAX_RUNS)
     except SparseskinError as error:
         reason = str(error).removeprefix("log_dir: ")
         print(
