@@ -151,7 +151,7 @@ def summary_table(graph: str, patches: Mapping[str, Summary]) -> str:
     if len(patches) > FEW:
         text = _many_table(graph, patches)
     else:
-        tables = [patch_table(name, patch) for name, patch in patches.items()]
+        tables = [_patch_table(graph, *entry) for entry in patches.items()]
         text = "\n".join(tables)
     doubts = doubts_text(patches.values())
     if doubts:
@@ -197,18 +197,22 @@ def _reasons(counts: Counter[str]) -> str:
     return text
 
 
-def patch_table(name: str, patch: Summary) -> str:
+def _patch_table(graph: str, name: str, patch: Summary) -> str:
     """The summary of one patch as text, `WIDTH` characters wide."""
     patch = {key: _cell(value) for key, value in patch.items()}
-    frames = patch["frames"]
-    # A table of nothing would be all dashes.
-    if not frames["sensed"] and not frames["reconstructed"]:
-        label = printable(name)
-        if patch["scene"] != NONE:
-            label += f": {patch['scene']}"
-        return f"{label}: ended before the first frame"
+    # What was launched, and what was sensed where that has another name.
+    title = printable(name)
+    if graph:
+        title = printable(f"{graph}: {name}")
+    if patch["scene"] not in (NONE, graph):
+        title += f", {patch['scene']}"
 
-    rows = [f" {printable(name)}: {patch['scene']} ".center(WIDTH, "=")]
+    # A table of nothing would be all dashes.
+    frames = patch["frames"]
+    if not frames["sensed"] and not frames["reconstructed"]:
+        return f"{title}: ended before the first frame"
+
+    rows = [f" {title} ".center(WIDTH, "=")]
     if patch["changes"]:
         rows.append(_changes(patch["changes"]))
     rows += [

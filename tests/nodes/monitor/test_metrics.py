@@ -280,6 +280,16 @@ def test_the_table_states_of_how_many_frames_its_figures_are():
     assert f"{stated};\n            figures of 2 (the others came too late)\n" in part
 
 
+@pytest.mark.parametrize(
+    ("graph", "title"),
+    [("torso", "torso: skin, a scene"), ("a scene", "a scene: skin")],
+)
+def test_a_table_is_named_by_what_was_launched_and_by_what_was_sensed(graph, title):
+    summary = metrics_of(skin(), PHI, SOLVER, *frame(0, 1.0, 1.0, 1.0)).summary()
+    table = summary_table(graph, {"skin": summary})
+    assert table.split("\n")[0].strip("=") == f" {title} "
+
+
 @given(st.integers(FEW + 1, 60), st.from_regex(r"[a-z_0-9]{1,20}", fullmatch=True))
 def test_a_table_of_many_patches_is_named_by_what_was_launched(n, name):
     summary = metrics_of(skin(), PHI, SOLVER, *frame(0, 1.0, 1.0, 1.0)).summary()
@@ -307,9 +317,9 @@ def test_times_and_bytes_and_names():
 
 def test_a_graph_that_saw_nothing_has_a_line_in_place_of_a_table():
     table = summary_table("path_40", {"skin": PatchMetrics().summary()})
-    assert table == "skin: ended before the first frame"
+    assert table == "path_40: skin: ended before the first frame"
     table = summary_table("path_40", {"skin": metrics_of(skin(), PHI).summary()})
-    assert table == "skin: a scene: ended before the first frame"
+    assert table == "path_40: skin, a scene: ended before the first frame"
 
 
 def test_settings_that_change_during_the_run_are_listed():
