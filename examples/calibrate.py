@@ -10,15 +10,18 @@ import sys
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-import matplotlib
 import numpy as np
 
 from sparseskin.launch.commands.cli import main as sparseskin
 from sparseskin.nodes.sensor.calibration.chain import Chain
 from sparseskin.nodes.sensor.skin_file import load_skin
 
-matplotlib.use("Agg")
-import matplotlib.pyplot as plt
+try:
+    import matplotlib.pyplot as plt
+except ModuleNotFoundError:
+    sys.exit("this example draws a picture: pip install 'sparseskin[charts]'")
+
+plt.switch_backend("Agg")
 
 ROWS, COLS, RATE_HZ, MINUTES = 16, 32, 10, 10
 RNG = np.random.default_rng(0)

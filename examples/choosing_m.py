@@ -5,13 +5,16 @@ python examples/choosing_m.py [OUT.png]
 
 import sys
 
-import matplotlib
 import numpy as np
 
 import sparseskin
 
-matplotlib.use("Agg")
-import matplotlib.pyplot as plt
+try:
+    import matplotlib.pyplot as plt
+except ModuleNotFoundError:
+    sys.exit("this example draws a picture: pip install 'sparseskin[charts]'")
+
+plt.switch_backend("Agg")
 
 RATIOS = (2, 3, 4, 6, 8, 12)
 

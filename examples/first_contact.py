@@ -5,13 +5,16 @@ python examples/first_contact.py [OUT.png]
 
 import sys
 
-import matplotlib
 import numpy as np
 
 import sparseskin
 
-matplotlib.use("Agg")
-import matplotlib.pyplot as plt
+try:
+    import matplotlib.pyplot as plt
+except ModuleNotFoundError:
+    sys.exit("this example draws a picture: pip install 'sparseskin[charts]'")
+
+plt.switch_backend("Agg")
 
 
 def main(out: str = "first_contact.png") -> None:

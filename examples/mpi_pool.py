@@ -7,8 +7,11 @@ mpiexec -n 3 python -m mpi4py.futures examples/mpi_pool.py           # by itself
 One process hands out the work, the others (4, and 2) do it. The same goes for `study`.
 """
 
+import sys
+
 import numpy as np
 
+from sparseskin.nodes.errors import SettingsError
 from sparseskin.nodes.tasks import make_executor
 
 
@@ -37,4 +40,8 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    try:
+        main()
+    except SettingsError as error:
+        # The line names the package that is not installed.
+        sys.exit(str(error))

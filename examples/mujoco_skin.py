@@ -6,8 +6,10 @@ press on it by the force law of the scenes.
 
 from __future__ import annotations
 
+import sys
 import tempfile
 import time
+from importlib.util import find_spec
 from pathlib import Path
 
 import numpy as np
@@ -16,6 +18,9 @@ from sparseskin.nodes.sensor.scenes.bodies import Body, build_sole, slab
 from sparseskin.nodes.sensor.scenes.scenes import SKIN, TAXEL_RADIUS_M
 from sparseskin.nodes.sensor.scenes.simulation import Drag, Scene, SceneSource
 from sparseskin.plugins.simulators.source import MujocoSource
+
+if find_spec("mujoco") is None:
+    sys.exit("this example runs MuJoCo: pip install 'sparseskin[mujoco]'")
 
 MODEL = Path(__file__).parent / "models" / "pad.xml"
 N_STEPS, DRAG_AT_S, SPEED_M_S, MASS_KG = 2000, 1.0, 0.05, 0.3

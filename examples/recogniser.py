@@ -55,7 +55,9 @@ def main() -> None:
             "recording,label\n" + "".join(f"{b}.npz,{b}\n" for b in BODIES)
         )
         out = str(folder / "model.joblib")
-        command(["tasks", "train", *files, "--labels", str(labels), "--out", out])
+        if command(["tasks", "train", *files, "--labels", str(labels), "--out", out]):
+            # The command has printed why: as a rule scikit-learn is not installed.
+            raise SystemExit("the model was not trained")
 
         for body in BODIES:
             other = recording(body, range(100, 104), folder / f"other_{body}.npz")

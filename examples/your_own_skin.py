@@ -5,13 +5,16 @@ python examples/your_own_skin.py [OUT.png [RECORDING]]
 
 import sys
 
-import matplotlib
 import numpy as np
 
 import sparseskin
 
-matplotlib.use("Agg")
-import matplotlib.pyplot as plt
+try:
+    import matplotlib.pyplot as plt
+except ModuleNotFoundError:
+    sys.exit("this example draws a picture: pip install 'sparseskin[charts]'")
+
+plt.switch_backend("Agg")
 
 
 def main(out: str = "your_own_skin.png", path: str = "example:fingers") -> None:

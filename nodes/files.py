@@ -22,19 +22,19 @@ class OutputError(SparseskinError):
     """A file that cannot be written where it was asked for."""
 
 
-def user_folder(kind: str) -> Path:
-    """Folder of this program for "cache" or "state" of the user: in $XDG_KIND_HOME, or in the home
+def state_folder() -> Path:
+    """Folder of this program for the state of the user: in $XDG_STATE_HOME, or in the home
     directory where that is not an absolute path.
     Raises SparseskinError if no home directory is known.
     """
-    stated = Path(os.environ.get(f"XDG_{kind.upper()}_HOME", ""))
-    default = {"cache": ".cache", "state": ".local/state"}[kind]
-    try:
-        home = stated if stated.is_absolute() else Path.home() / default
-    except RuntimeError as error:
-        text = f"no home directory is known; set XDG_{kind.upper()}_HOME"
-        raise SparseskinError(text) from error
-    return home / "sparseskin"
+    folder = Path(os.environ.get("XDG_STATE_HOME", ""))
+    if not folder.is_absolute():
+        try:
+            folder = Path.home() / ".local" / "state"
+        except RuntimeError as error:
+            text = "no home directory is known; set XDG_STATE_HOME"
+            raise SparseskinError(text) from error
+    return folder / "sparseskin"
 
 
 def check_private(folder: Path) -> None:

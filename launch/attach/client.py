@@ -8,7 +8,7 @@ from typing import Any
 
 from sparseskin.launch.run.running import GraphError, RunningGraph
 from sparseskin.nodes.lookup import did_you_mean
-from sparseskin.nodes.process.control import COUNTED, ControlClient
+from sparseskin.nodes.process.control import COUNTED, ControlClient, Document
 
 from .text import flowing
 
@@ -20,18 +20,17 @@ ELSEWHERE = "(another host)"
 """Shown for a publisher whose name is not known here."""
 
 
-def describe(graph: RunningGraph, node: str | None = None) -> dict[str, Any]:
+def describe(graph: RunningGraph, node: str | None = None) -> Document:
     """The description of a graph: `sparseskin.launch.run.state.graph_description`.
     Raises GraphError if the graph does not answer.
     """
     with closing(ControlClient(graph.control)) as client:
-        described: dict[str, Any] = _exchange(
-            graph, client, {"describe": node}, "description"
-        )
+        request = {"describe": node}
+        described: Document = _exchange(graph, client, request, "description")
         return described
 
 
-def describe_node(graph: RunningGraph, name: str) -> dict[str, Any]:
+def describe_node(graph: RunningGraph, name: str) -> Document:
     """One node of a graph, with its settings.
     Raises GraphError if the graph has no such node (with a did-you-mean), or does not answer.
     """
@@ -42,20 +41,21 @@ def describe_node(graph: RunningGraph, name: str) -> dict[str, Any]:
         raise GraphError(
             f"{name}: {graph.label} has no such node{did_you_mean(name, nodes)}"
         )
-    node: dict[str, Any] = nodes[name]
+    node: Document = nodes[name]
     return node
 
 
-def topics_of(described: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
+def topics_of(described: Mapping[str, Any]) -> dict[str, Document]:
     """The topics of a described graph by name: topic, schema, latched, publisher ("" where that is
     on another host), sent (number of messages), subscribers (node and its `COUNTED` messages).
     """
-    topics: dict[str, dict[str, Any]] = {}
+    topics: dict[str, Document] = {}
     for node in described["nodes"]:
         for entry in node["outputs"]:
             topic = topics.setdefault(entry["topic"], _unread_topic(entry))
             topic["publisher"] = node["name"]
             topic["sent"] = entry["sent"]
+    # Then who reads them; a topic that is published on another host has no output here.
     for node in described["nodes"]:
         for entry in node["inputs"]:
             topic = topics.setdefault(entry["topic"], _unread_topic(entry))
@@ -64,7 +64,7 @@ def topics_of(described: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
     return topics
 
 
-def _unread_topic(entry: Mapping[str, Any]) -> dict[str, Any]:
+def _unread_topic(entry: Mapping[str, Any]) -> Document:
     """A topic without its publisher and subscribers."""
     name = entry["topic"]
     return {
@@ -104,6 +104,7 @@ def ask_node(graph: RunningGraph, node: str, command: str, value: Any) -> str:
     """
     request = {"id": "1", "node": node, "command": command, "value": value}
     with closing(ControlClient(graph.control)) as client:
+        # A node answers between two frames, which may take it a while.
         answer = _exchange(graph, client, request, "answer")
     # A node may answer in several lines; a refusal is one.
     text = flowing(answer["text"])

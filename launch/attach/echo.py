@@ -17,6 +17,7 @@ from sparseskin.messages.reasons import sentence_of
 from sparseskin.messages.text import printable
 from sparseskin.nodes.errors import SettingsError
 from sparseskin.nodes.lookup import did_you_mean
+from sparseskin.nodes.process.control import Document
 
 from .stream import PATIENCE_S, Arrival, Display, Losses
 from .text import flowing, formatted, width, wrapped
@@ -38,7 +39,7 @@ def plain(value: Any, full: bool) -> Any:
         return value.item()
     if not isinstance(value, np.ndarray):
         return value
-    summary: dict[str, Any] = {"dtype": _dtype(value), "shape": list(value.shape)}
+    summary: Document = {"dtype": _dtype(value), "shape": list(value.shape)}
     if full:
         return summary | {"data": value.tolist()}
     if not value.size:
@@ -59,7 +60,8 @@ def text(value: Any, full: bool) -> str:
     if value is None:
         return "none"
     if isinstance(value, bool):
-        return "true" if value else "false"
+        # As JSON and launch files write them.
+        return str(value).lower()
     if not isinstance(value, np.ndarray):
         return flowing(str(value))
 
@@ -91,7 +93,7 @@ def text(value: Any, full: bool) -> str:
     return f"{head}: {extent} [{' '.join(elements)}]"
 
 
-def values_of(message: Message) -> dict[str, Any]:
+def values_of(message: Message) -> Document:
     """Fields of a message; of one patch without the axis of patches."""
     if getattr(message, "names", ()):
         return message.__dict__
@@ -126,16 +128,16 @@ class FieldPath:
         if index is None:
             return value
         shape = getattr(value, "shape", ())
-        is_inside = len(shape) == len(index) and all(map(operator.lt, index, shape))
-        if not is_inside:
+        has_sides = len(shape) == len(index)
+        if not has_sides or not all(map(operator.lt, index, shape)):
             sides = " x ".join(map(str, shape)) or "no array"
             raise SettingsError(f"--field {self._path}: {self._name} is {sides}")
         return value[index]
 
 
-def _contact_lines(message: Contacts, unit: str) -> dict[str, Any]:
+def _contact_lines(message: Contacts, unit: str) -> Document:
     """Fields of contacts as text, a line each; forces are in `unit`, "" where it is not known."""
-    lines: dict[str, Any] = {}
+    lines: Document = {}
     for name, value in values_of(message).items():
         if value is not None and not isinstance(value, np.ndarray):
             lines[name] = value
@@ -147,7 +149,10 @@ def _contact_lines(message: Contacts, unit: str) -> dict[str, Any]:
         lines[label] = _contact_line(message, k, unit)
     for number, event in message.named_events:
         # A touch is of no contact yet.
-        lines[f"event of {number}" if number else "event"] = event
+        label = "event"
+        if number:
+            label += f" of {number}"
+        lines[label] = event
     return lines
 
 
@@ -171,7 +176,10 @@ def _contact_line(message: Contacts, k: int, unit: str) -> str:
             # Of a flat skin z is 0.
             centre = centre[:2]
             sd = sd[:2]
-    place = ", ".join(f"{x:.4g} ± {s:.2g}" for x, s in zip(centre, sd, strict=True))
+    coordinates = []
+    for x, deviation in zip(centre, sd, strict=True):
+        coordinates.append(f"{x:.4g} ± {deviation:.2g}")
+    place = ", ".join(coordinates)
 
     size = f"{message.area[k]} taxels, {message.age_s[k]:.3g} s"
     marks = [name for name in ("over", "sliding") if getattr(message, name)[k]]
@@ -207,8 +215,10 @@ class Echo(Display):
         unit: str = "",
     ) -> None:
         if max_hz is None:
+            max_hz = 0.0
             is_for_a_person = n is None and not in_json
-            max_hz = MAX_HZ if is_for_a_person else 0.0
+            if is_for_a_person:
+                max_hz = MAX_HZ
         self._topic = topic
         self._field = field
         self._n = n
@@ -219,7 +229,8 @@ class Echo(Display):
         if max_hz:
             self._period_ns = round(1e9 / max_hz)
         # A message that is to be shown must not wait longer than the next one is due.
-        self.patience_s = min(PATIENCE_S, self._period_ns / 1e9 or PATIENCE_S)
+        if self._period_ns:
+            self.patience_s = min(PATIENCE_S, self._period_ns / 1e9)
         self._losses = Losses()
         self._has_events = topic.endswith(f"/{Contacts.schema}")
         self._due_ns = 0
@@ -234,7 +245,8 @@ class Echo(Display):
         if arrival.ends:
             return False
         # Stamps go back where a recording is played again.
-        is_early = self._due_ns - self._period_ns <= arrival.stamp_ns < self._due_ns
+        begin_ns = self._due_ns - self._period_ns
+        is_early = begin_ns <= arrival.stamp_ns < self._due_ns
         # Not decoded: of a fast topic most messages are not shown.
         if is_early and not self._has_events:
             return self._skip()

@@ -27,9 +27,13 @@ def heat_map(
     # A character is about twice as high as wide: with colours it holds two places, with letters a
     # place has two characters.
     if not coloured:
-        places = _places(forces, height, max(1, width // 2))
-        levels = _levels(places, top, len(LETTERS))
-        return ["".join(LETTERS[level] * 2 for level in row) for row in levels]
+        n_wide = max(1, width // 2)
+        places = _places(forces, height, n_wide)
+        lines = []
+        for row in _levels(places, top, len(LETTERS)):
+            letters = [LETTERS[level] * 2 for level in row]
+            lines.append("".join(letters))
+        return lines
 
     places = _places(forces, 2 * height, width)
     if len(places) % 2:
@@ -50,7 +54,10 @@ def _places(forces: Floats, n_high: int, n_wide: int) -> Floats:
         return np.repeat(high, side, axis=1)
 
     # A place shows the largest of k x k taxels, so that no contact is lost.
-    k = max(math.ceil(n_rows / n_high), math.ceil(n_cols / n_wide))
+    k_high = math.ceil(n_rows / n_high)
+    k_wide = math.ceil(n_cols / n_wide)
+    k = max(k_high, k_wide)
+    # Empty cells fill the last squares of each side.
     below = (0, -n_rows % k)
     right = (0, -n_cols % k)
     padded = np.pad(forces, (below, right))

@@ -11,6 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from sparseskin.launch.run.running import RunningGraph
+from sparseskin.nodes.process.control import Document
 
 from .stream import Arrival, Display, Losses, quiet_reason
 from .text import formatted, size_text
@@ -44,8 +45,14 @@ class Samples:
         if arrival.ends:
             return
         self.n += 1
-        times = (arrival.at_ns, arrival.stamp_ns)
-        self._kept.append((*times, arrival.seq, arrival.n_bytes, arrival.fresh))
+        figures = (
+            arrival.at_ns,
+            arrival.stamp_ns,
+            arrival.seq,
+            arrival.n_bytes,
+            arrival.fresh,
+        )
+        self._kept.append(figures)
 
     def last(self, window: int) -> Longs:
         """Time of arrival, stamp, number, size and freshness of the last messages of the
@@ -56,7 +63,7 @@ class Samples:
         return np.array(rows, dtype=np.int64).reshape(-1, 5)
 
 
-def figures_of(samples: Longs) -> dict[str, Any]:
+def figures_of(samples: Longs) -> Document:
     """Figures of messages, as `Samples.last` returns them: sent_hz, by the numbers and stamps;
     interval_ms between the stamps of messages with adjacent numbers; arrives_hz, the received
     messages over the span of the stamps; bytes_per_s and size_bytes, topic and payload; delay_ms
@@ -64,30 +71,37 @@ def figures_of(samples: Longs) -> dict[str, Any]:
     distributions mean, min, max and std, of the delay p50 and p99 too. None where too few came.
     """
     at_ns, stamp_ns, seq, n_bytes, fresh = samples.T
+
     # Lost messages were sent, too: rates of sending count them.
     steps = np.diff(seq)
     # A gap of lost messages is no interval.
     adjacent_ns = np.diff(stamp_ns)[steps == 1]
-    delays_ms = (at_ns - stamp_ns)[fresh > 0] / 1e6
+    # One that has waited for this command would make the graph look slow.
+    delays_ns = at_ns - stamp_ns
+    delays_ms = delays_ns[fresh > 0] / 1e6
     delay = _extent(delays_ms)
     if delay is not None:
         p50, p99 = np.quantile(delays_ms, [0.5, 0.99])
         delay = {"p50": float(p50), "p99": float(p99), **delay}
+
+    each_counts_one = np.ones_like(steps)
     return {
         "sent_hz": _a_second(stamp_ns, steps),
         "interval_ms": _extent(adjacent_ns / 1e6),
-        "arrives_hz": _a_second(stamp_ns, np.ones_like(steps)),
+        "arrives_hz": _a_second(stamp_ns, each_counts_one),
         "bytes_per_s": _a_second(stamp_ns, n_bytes[1:]),
         "size_bytes": _extent(n_bytes),
         "delay_ms": delay,
     }
 
 
-def text_of(figures: dict[str, Any]) -> str:
+def text_of(figures: Document) -> str:
     """The figures as part of a line; "" where there are none."""
     parts = []
     if figures["sent_hz"] is not None:
-        parts.append(f"{figures['sent_hz']:.4g} Hz, {figures['arrives_hz']:.4g} here")
+        sent_hz = figures["sent_hz"]
+        arrives_hz = figures["arrives_hz"]
+        parts.append(f"{sent_hz:.4g} Hz, {arrives_hz:.4g} here")
         parts.append(f"{size_text(figures['bytes_per_s'])}/s")
     delay = figures["delay_ms"]
     if delay is not None:
@@ -103,7 +117,8 @@ def _a_second(stamp_ns: Longs, amounts: Longs) -> float | None:
     span_ns = int(stamp_ns[-1] - stamp_ns[0])
     if span_ns <= 0:
         return None
-    return float(amounts.sum()) * 1e9 / span_ns
+    total = float(amounts.sum())
+    return total * 1e9 / span_ns
 
 
 def _extent(values: npt.NDArray[Any]) -> dict[str, float] | None:

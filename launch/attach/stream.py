@@ -35,6 +35,7 @@ from .client import describe, topics_of
 from .text import flowing
 
 POLL_MS = 100
+"""Longest wait for a message before the end of the graph is looked for, milliseconds."""
 LOOK_S = 0.5
 """Time between two checks that the graph still runs, seconds."""
 PATIENCE_S = 0.2
@@ -42,6 +43,7 @@ PATIENCE_S = 0.2
 EXIT_NOTHING = 1
 """Exit code of a command that read no message."""
 BATCH = 1024
+"""Most messages that are read before they are shown: a fast topic has no end."""
 DRAIN_MS = 20
 """Messages that wait at the writer arrive within it."""
 READ_AHEAD = 8
@@ -115,7 +117,9 @@ class TopicStream:
         self._patience_s = patience_s
         self._clock = SystemClock(graph.offset_ns)
         self._context = make_context()
-        keys = read_key_pair(Path(graph.key_file)) if graph.key_file else None
+        keys = None
+        if graph.key_file:
+            keys = read_key_pair(Path(graph.key_file))
         ahead = QUEUE_FRAMES
         if newest:
             ahead = NEWEST_ALONE
@@ -132,7 +136,8 @@ class TopicStream:
         )
         # One connection a publisher, however many of its topics are read.
         writers = graph.writers()
-        for name in {writers[topic] for topic in topics}:
+        publishers = {writers[topic] for topic in topics}
+        for name in publishers:
             node = graph.nodes[name]
             self._reader.connect(node.endpoint, node.key)
 
@@ -205,7 +210,9 @@ class TopicStream:
         is_idle = self._drained and not self._reader.socket.poll(0)
         if not self._reader.socket.poll(timeout_ms) or not self._patience_s:
             return None
-        came_ns = self._clock.now_ns() if is_idle else None
+        came_ns = None
+        if is_idle:
+            came_ns = self._clock.now_ns()
         time.sleep(min(self._patience_s, remaining_s))
         return came_ns
 
@@ -283,7 +290,9 @@ def observe(
     n_counted = 0
     ended = False
     # Of a stated number of messages, the last ones are not to wait for more.
-    patience_s = display.patience_s if n is None else 0.0
+    patience_s = 0.0
+    if n is None:
+        patience_s = display.patience_s
     with TopicStream(graph, topic, patience_s=patience_s) as stream:
         for arrivals in stream.batches(duration_s):
             for arrival in arrivals:
@@ -347,7 +356,7 @@ def _arrival(topic: bytes, payload: Payload, at_ns: int) -> Arrival | None:
                 payload, raw=False, max_map_len=64, max_ext_len=0
             )
             ends = body["schema"] == End.schema
-            seq = body["n_messages"] if ends else body["seq"]
+            seq = body["n_messages" if ends else "seq"]
             run_id = str(body["run_id"])
             stamp_ns = body["stamp_ns"]
     except Exception:

@@ -66,11 +66,14 @@ class Subscription:
         # Waits for a graph that is starting.
         running = choose_graph(graph, option="graph")
 
+        # Public: see the docstring.
         self.topic = find_topic(running, topic)
         self.graph = running.label
         self.age_s = math.nan
         self._newest = bool(newest)
-        self._timeout_s = math.inf if timeout_s is None else float(timeout_s)
+        self._timeout_s = math.inf
+        if timeout_s is not None:
+            self._timeout_s = float(timeout_s)
         self._stream = TopicStream(running, self.topic, newest=self._newest)
         self._losses = Losses()
         self._malformed = 0
@@ -78,7 +81,9 @@ class Subscription:
         self._ended = False
 
     def __repr__(self) -> str:
-        kind = "newest messages" if self._newest else "messages"
+        kind = "messages"
+        if self._newest:
+            kind = "newest messages"
         return f"<Subscription to {kind} of {self.topic} of {self.graph}>"
 
     @property
@@ -113,6 +118,7 @@ class Subscription:
         return self
 
     def __next__(self) -> Message:
+        # Of each message anew.
         until_s = time.monotonic() + self._timeout_s
         message = self._take()
         while message is None:
@@ -149,6 +155,7 @@ class Subscription:
         """Wait until something may have come, at most `wait_s` seconds."""
         import asyncio
 
+        # The loop waits for ZeroMQ's descriptor: no thread is needed.
         loop = asyncio.get_running_loop()
         came = asyncio.Event()
         loop.add_reader(self._stream.descriptor, came.set)

@@ -8,6 +8,8 @@ from typing import Any
 
 from sparseskin.messages.text import printable
 
+Entry = Mapping[str, Any]
+"""A setting as `Settings.described` describes it; of a running node with its value."""
 GAP = "  "
 MIN_LAST = 20
 """A last column is not made narrower than this, however narrow the terminal."""
@@ -57,7 +59,8 @@ def table(
     # Flush right where all cells of a column are numbers.
     columns = []
     for k, title in enumerate(head):
-        longest = max([len(title), *(len(line[k]) for line in texts)])
+        lengths = [len(line[k]) for line in texts]
+        longest = max([len(title), *lengths])
         is_right = bool(rows) and all(_is_number(row[k]) for row in rows)
         columns.append((longest, is_right))
 
@@ -65,7 +68,10 @@ def table(
     for cells in [list(head), *texts]:
         padded = []
         for cell, (longest, is_right) in zip(cells, columns, strict=True):
-            padded.append(cell.rjust(longest) if is_right else cell.ljust(longest))
+            if is_right:
+                padded.append(cell.rjust(longest))
+            else:
+                padded.append(cell.ljust(longest))
         start = indent + "".join(cell + GAP for cell in padded[:-1])
         _, is_right = columns[-1]
         if is_right:
@@ -98,9 +104,10 @@ def wrapped(start: str, text: str, continued: str | None = None) -> list[str]:
         continued = " " * len(start)
     # The longer of both begins leaves the narrower column.
     room = max(MIN_LAST, width() - max(len(start), len(continued)))
-    lines = textwrap.wrap(
-        text, room, break_on_hyphens=False, break_long_words=False
-    ) or [""]
+    # A command or a path is to be copied: it is not broken.
+    lines = textwrap.wrap(text, room, break_on_hyphens=False, break_long_words=False)
+    if not lines:
+        return [start.rstrip()]
     begin = (start + lines[0]).rstrip()
     return [begin, *(continued + line for line in lines[1:])]
 
@@ -119,8 +126,9 @@ def shown_value(value: Any) -> str:
         return "none"
     text = json.dumps(value)
     if isinstance(value, str):
-        if value.count("\n") > 1:
-            return f"({value.count(chr(10))} lines: param get prints them)"
+        n_lines = value.count("\n")
+        if n_lines > 1:
+            return f"({n_lines} lines: param get prints them)"
         # Without quotes, where these are not needed to see where it begins and ends.
         if value and value.isprintable() and value == value.strip():
             text = value
@@ -129,7 +137,7 @@ def shown_value(value: Any) -> str:
     return text
 
 
-def preset_of(entries: Iterable[Mapping[str, Any]]) -> str | None:
+def preset_of(entries: Iterable[Entry]) -> str | None:
     """The preset among the settings of a node; None where it has none."""
     for entry in entries:
         if entry["key"] == "preset":
@@ -137,7 +145,7 @@ def preset_of(entries: Iterable[Mapping[str, Any]]) -> str | None:
     return None
 
 
-def in_force_text(entry: Mapping[str, Any], preset: str | None) -> str:
+def in_force_text(entry: Entry, preset: str | None) -> str:
     """The value in force of a setting that is not stated, as " (preset NAME: VALUE)"; or ""."""
     if entry["value"] is not None or entry["in_force"] is None:
         return ""
@@ -147,12 +155,12 @@ def in_force_text(entry: Mapping[str, Any], preset: str | None) -> str:
     return f" (preset {preset}: {value})"
 
 
-def types_of(entry: Mapping[str, Any]) -> list[str]:
+def types_of(entry: Entry) -> list[str]:
     """Names of the types that a setting may have, as they are declared."""
     return [part.strip() for part in str(entry["type"]).split("|")]
 
 
-def allowed_text(entry: Mapping[str, Any]) -> str:
+def allowed_text(entry: Entry) -> str:
     """Allowed values of a setting, in a few words."""
     types = types_of(entry)
     # A closed list says all; else the types do.
@@ -170,7 +178,7 @@ def allowed_text(entry: Mapping[str, Any]) -> str:
     return " or ".join(words)
 
 
-def typed_value(text: str, entry: Mapping[str, Any] | None) -> Any:
+def typed_value(text: str, entry: Entry | None) -> Any:
     """The value of a typed text: TOML, or else the text as it stands, as it does for a setting
     whose described type is a text.
     """
@@ -192,7 +200,7 @@ def typed_value(text: str, entry: Mapping[str, Any] | None) -> Any:
     return value
 
 
-def _range_text(entry: Mapping[str, Any]) -> str:
+def _range_text(entry: Entry) -> str:
     low = entry["low"]
     high = entry["high"]
     if low is not None and high is not None:

@@ -11,6 +11,7 @@ from sparseskin.launch.attach.text import facts, flowing, size_text, table
 from sparseskin.nodes.errors import SourceError
 from sparseskin.nodes.extensions import EXPORTS, loaded
 from sparseskin.nodes.lookup import find_callable
+from sparseskin.nodes.process.control import Document
 from sparseskin.nodes.recorder.bag.format import (
     FILE_SUFFIX,
     PART_SUFFIX,
@@ -36,7 +37,7 @@ from .options import (
 if TYPE_CHECKING:
     from sparseskin.nodes.recorder.bag.reader import BagReader
 
-_MAX_SHOWN = 2000
+_MAX_SHOWN = 2000  # some 25 lines
 """Characters of one value that the table shows at most."""
 _OF_TOPIC = ("schema", "version", "n_messages", "first_ns", "last_ns", "rate_hz")
 
@@ -167,7 +168,8 @@ def _import(arguments: argparse.Namespace) -> int:
 
     # Names are checked before the first file is read.
     names = [f"{file.stem}{FILE_SUFFIX}" for file in arguments.files]
-    bags = [Path(name) for name in bag_names(names, arguments.out)]
+    outs = bag_names(names, arguments.out)
+    bags = [Path(out) for out in outs]
     # One layout for all files: they are of one skin.
     layout = layout_of(arguments)
     channels = [channel for channel in arguments.keep.split(",") if channel]
@@ -210,8 +212,10 @@ def _export(arguments: argparse.Namespace) -> int:
     if len(arguments.bags) > 1 and not export.several:
         raise BagError(f"{arguments.bags[1]}: --to {arguments.to} takes one recording")
     with ExitStack() as stack:
-        bags = [stack.enter_context(BagReader(path)) for path in arguments.bags]
-        for bag in bags:
+        bags = []
+        for path in arguments.bags:
+            bag = stack.enter_context(BagReader(path))
+            bags.append(bag)
             # What a broken recording lacks is said before its frames are exported.
             if bag.recovered:
                 print(f"{bag.path}: {bag.recovered}", file=sys.stderr)
@@ -225,7 +229,7 @@ def _export(arguments: argparse.Namespace) -> int:
     return 0
 
 
-def _stated_options(arguments: argparse.Namespace) -> dict[str, Any]:
+def _stated_options(arguments: argparse.Namespace) -> Document:
     """Options of the export alone that are stated; BagError if one goes with another export."""
     stated = {}
     for name, option in _export_options().items():
@@ -248,7 +252,7 @@ def _count(n: int, what: str) -> str:
     return f"{n} {what}s"
 
 
-def info_document(bag: "BagReader") -> dict[str, Any]:
+def info_document(bag: "BagReader") -> Document:
     """The file, its topics, counts of its recorder and its metadata in full."""
     topics = {}
     for topic, info in bag.topics.items():
@@ -268,10 +272,12 @@ def info_document(bag: "BagReader") -> dict[str, Any]:
 def info_lines(bag: "BagReader") -> list[str]:
     """The same for a terminal, long values cut."""
     n_messages = sum(info.n_messages for info in bag.topics.values())
+    size = size_text(bag.path.stat().st_size)
+    duration_s = _seconds(span_ns(bag.topics.values()))
     properties = {
         "recording": str(bag.path),
-        "size": f"{size_text(bag.path.stat().st_size)}, {n_messages} messages",
-        "duration": f"{_seconds(span_ns(bag.topics.values())):.3f} s",
+        "size": f"{size}, {n_messages} messages",
+        "duration": f"{duration_s:.3f} s",
         "state": bag.recovered or "whole",
     }
     lines = [*facts(properties), ""]
@@ -282,7 +288,9 @@ def info_lines(bag: "BagReader") -> list[str]:
         )
 
     # Names and texts of these are of the file, and may be long.
-    states = {topic: _state_text(state) for topic, state in _states(bag).items()}
+    states = {}
+    for topic, state in _states(bag).items():
+        states[topic] = _state_text(state)
     metadata = {key: value for key, value in bag.metadata.items() if value}
     return [*lines, "", *_entries(states), *_entries(metadata)]
 
@@ -295,13 +303,15 @@ def _topic_rows(bag: "BagReader") -> list[list[Any]]:
         lost = bag.counts.get("lost", {})
     rows = []
     for topic, info in bag.topics.items():
-        n_lost = lost.get(topic, 0) if isinstance(lost, dict) else None
+        n_lost = None
+        if isinstance(lost, dict):
+            n_lost = lost.get(topic, 0)
         seconds = _seconds((info.first_ns, info.last_ns))
         rows.append([info.n_messages, info.rate_hz or None, seconds, n_lost, topic])
     return rows
 
 
-def _states(bag: "BagReader") -> dict[str, dict[str, Any]]:
+def _states(bag: "BagReader") -> dict[str, Document]:
     """The last state of each kind of each patch, by topic; none where one cannot be read."""
     from sparseskin.nodes.recorder.bag.frames import last_states
 
@@ -311,7 +321,7 @@ def _states(bag: "BagReader") -> dict[str, dict[str, Any]]:
         return {}
 
 
-def _state_text(state: dict[str, Any]) -> str:
+def _state_text(state: Document) -> str:
     """Fields of a state that are no arrays, and state something, in one line."""
     parts = []
     for key, value in state.items():

@@ -50,6 +50,7 @@ from .options import (
 )
 
 UNTOUCHED = "3s"
+"""Untouched frames where none are stated: at 10 Hz 30, enough for a standard deviation."""
 STEP_S = 2.0
 """Time for which a guided step collects frames under a load, seconds; chosen: a hand is steady."""
 CURVES = ("shared", "taxel", "linear")
@@ -241,7 +242,9 @@ class _Steps:
         load, at, area = load_at_area.partition("@")
         try:
             force = read_load(load)
-            cells = read_area(area, self._shape) if at else None
+            cells = None
+            if at:
+                cells = read_area(area, self._shape)
             frames = self._frames(where, f"Put {load_at_area} on the skin")
         except SparseskinError as error:
             raise CalibrationError(f"--press {text}: {error}") from error
@@ -340,7 +343,10 @@ def _properties(calibration: Fit) -> dict[str, str]:
         "masked": masked,
     }
     if skin.response is not None:
-        taxels = "each taxel" if skin.response.reading.ndim == 3 else "all taxels"
+        taxels = "all taxels"
+        if skin.response.reading.ndim == 3:
+            # Points of a curve, by row and column.
+            taxels = "each taxel"
         properties["response"] = f"{len(skin.response.force)} knots for {taxels}"
     return properties
 

@@ -51,6 +51,7 @@ def _print(arguments: argparse.Namespace) -> int:
     from argcomplete.shell_integration import shellcode
 
     # No fallback to file names: where a file is expected, `candidates` offers them.
+    # Without a space: behind "sensor." a key follows.
     options = ["-o", "nospace"]
     print(shellcode(["sparseskin"], False, arguments.shell, options))
     return 0
@@ -115,7 +116,10 @@ def _labels(graphs: Sequence["RunningGraph"]) -> list[str]:
     labels = []
     for graph in graphs:
         is_unique = names.count(graph.name) == 1
-        labels.append(graph.name if is_unique else graph.label)
+        label = graph.label
+        if is_unique:
+            label = graph.name
+        labels.append(label)
     return labels
 
 
@@ -138,6 +142,7 @@ def _parameters(metavar: str, typed: argparse.Namespace) -> Words:
             for entry in entries
             if entry["live"] or not is_set
         }
+
     words: list[str] = []
     for entry in entries:
         if entry["key"] == typed.key:
@@ -163,6 +168,7 @@ def _overrides(prefix: str, types: Mapping[str, str]) -> Words:
         fitting = [name for name in types if name == node]
     else:
         fitting = [name for name in types if name.startswith(node)]
+    # Of several the shell shows the names; of one it goes on to its keys.
     if len(fitting) != 1:
         return {f"{name}.": types[name] for name in fitting}
 

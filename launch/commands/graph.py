@@ -28,7 +28,7 @@ from sparseskin.launch.run.running import GraphError, choose_graph, running_grap
 from sparseskin.messages.text import printable
 from sparseskin.nodes.errors import SettingsError
 from sparseskin.nodes.lookup import did_you_mean
-from sparseskin.nodes.process.control import COUNTED
+from sparseskin.nodes.process.control import COUNTED, Document
 from sparseskin.nodes.process.proc import age_s, cpu_s, resident_bytes
 
 from .options import add_commands, add_graph, show
@@ -49,7 +49,9 @@ def _list_graphs(arguments: argparse.Namespace) -> int:
     described = []
     for graph in graphs:
         nodes = list(graph.nodes)
-        rows.append([graph.name, graph.pid, ", ".join(nodes) or "(starting)"])
+        names = ", ".join(nodes)
+        # A graph that starts has stated none yet.
+        rows.append([graph.name, graph.pid, names or "(starting)"])
         described.append(
             {
                 "name": graph.name,
@@ -129,14 +131,16 @@ def _info(arguments: argparse.Namespace) -> int:
 def _process_figures(pid: int) -> dict[str, float]:
     """Time on a processor, seconds and % of the age, and memory of a process, MB."""
     used_s = cpu_s(pid)
+    percent = 100 * used_s / age_s(pid)
+    memory_mb = resident_bytes(pid) / 1e6
     return {
         "cpu_s": used_s,
-        "cpu_percent": round(100 * used_s / age_s(pid), 1),
-        "memory_mb": round(resident_bytes(pid) / 1e6, 1),
+        "cpu_percent": round(percent, 1),
+        "memory_mb": round(memory_mb, 1),
     }
 
 
-def _node_text(node: dict[str, Any]) -> list[str]:
+def _node_text(node: Document) -> list[str]:
     lines = [node["name"], *facts(_node_properties(node), "  ")]
     for head, rows in _node_tables(node).items():
         if rows:
@@ -144,7 +148,7 @@ def _node_text(node: dict[str, Any]) -> list[str]:
     return lines
 
 
-def _node_properties(node: dict[str, Any]) -> dict[str, str]:
+def _node_properties(node: Document) -> dict[str, str]:
     condition = node["condition"]
     if node["restarts"]:
         condition += f", restarted {node['restarts']} times"
@@ -164,12 +168,13 @@ def _node_properties(node: dict[str, Any]) -> dict[str, str]:
         properties["reports"] = node["line"]
     if node["refused"]:
         # Refused messages by their reason.
-        counts = ", ".join(f"{reason} {n}" for reason, n in node["refused"].items())
+        by_reason = [f"{reason} {n}" for reason, n in node["refused"].items()]
+        counts = ", ".join(by_reason)
         properties["refused"] = f"{counts}; the last: {node['refusal']}"
     return properties
 
 
-def _node_tables(node: dict[str, Any]) -> dict[tuple[str, ...], list[list[Any]]]:
+def _node_tables(node: Document) -> dict[tuple[str, ...], list[list[Any]]]:
     """Rows of each table about a node, by the head of the table."""
     inputs = []
     for entry in node["inputs"]:
@@ -181,10 +186,15 @@ def _node_tables(node: dict[str, Any]) -> dict[tuple[str, ...], list[list[Any]]]
     settings = []
     preset = preset_of(node["settings"])
     for entry in node["settings"]:
-        mark = "live" if entry["live"] else ""
+        mark = ""
+        if entry["live"]:
+            # It can be set while the graph runs.
+            mark = "live"
         value = shown_value(entry["value"]) + in_force_text(entry, preset)
         settings.append([entry["key"], mark, value])
-    state = [[key, shown_value(value)] for key, value in node["state"].items()]
+    state = []
+    for key, value in node["state"].items():
+        state.append([key, shown_value(value)])
     commands = [list(command) for command in node["commands"].items()]
     return {
         ("INPUT", "FROM", *(count.upper() for count in COUNTED)): inputs,
@@ -232,7 +242,7 @@ def _list_settings(arguments: argparse.Namespace) -> int:
     return show(arguments, "param-list", document, ["\n\n".join(tables)])
 
 
-def _node_lines(name: str, entries: list[dict[str, Any]]) -> list[str]:
+def _node_lines(name: str, entries: list[Document]) -> list[str]:
     """Two lines a setting at the least: its value and what it may be, then what it means."""
     # Values of all settings begin in one column.
     widest = max((len(entry["key"]) for entry in entries), default=0)
@@ -240,7 +250,9 @@ def _node_lines(name: str, entries: list[dict[str, Any]]) -> list[str]:
     preset = preset_of(entries)
     lines = [f"{name} (* can be set while the graph runs)"]
     for entry in entries:
-        mark = "*" if entry["live"] else " "
+        mark = " "
+        if entry["live"]:
+            mark = "*"
         start = f"{mark} {entry['key']:<{widest}} = "
         value = flowing(shown_value(entry["value"]) + in_force_text(entry, preset))
         lines += wrapped(start, f"{value}   ({allowed_text(entry)})")
@@ -260,7 +272,8 @@ def _get(arguments: argparse.Namespace) -> int:
     # A text is printed as it is, for a script to use.
     text = entries[key]["value"]
     if not isinstance(text, str):
-        text = shown_value(text) + in_force_text(entries[key], preset_of(settings))
+        text = shown_value(text)
+        text += in_force_text(entries[key], preset_of(settings))
     document = {"node": node, **entries[key]}
     return show(arguments, "param-get", document, map(printable, text.split("\n")))
 
@@ -280,7 +293,7 @@ def _set(arguments: argparse.Namespace) -> int:
     graph = choose_graph(arguments.graph)
     settings = describe_node(graph, arguments.node)["settings"]
     entries = {entry["key"]: entry for entry in settings}
-    values: dict[str, Any] = {}
+    values: Document = {}
     for key, text in typed_texts.items():
         # A dot may also be part of the name of a setting.
         table_key, dot, part = key.partition(".")

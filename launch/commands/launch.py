@@ -209,7 +209,7 @@ def _run(launch: "LaunchFile", arguments: argparse.Namespace) -> int:
     }
     try:
         if sensed or code != EXIT_USAGE:
-            _print_summary(sensed or patches, summary["nodes"])
+            _print_summary(launch.name, sensed or patches, summary["nodes"])
     finally:
         # Stdout may be on a full disk.
         write_summary(arguments.summary, "launch-summary", summary)
@@ -218,7 +218,9 @@ def _run(launch: "LaunchFile", arguments: argparse.Namespace) -> int:
         print(f"logs of the nodes: {run_log.folder}", file=sys.stderr)
     if code == 0 and launch.name in bundled_names() and sys.stderr.isatty():
         # As it was started here: it may not be on the path.
-        program = "sparseskin" if shutil.which("sparseskin") else sys.argv[0]
+        program = sys.argv[0]
+        if shutil.which("sparseskin"):
+            program = "sparseskin"
         print(NEXT.format(program, launch.name), file=sys.stderr)
     for name, patch in sensed.items():
         # A graph whose frames are all lost has not done its work.
@@ -228,11 +230,11 @@ def _run(launch: "LaunchFile", arguments: argparse.Namespace) -> int:
     return code
 
 
-def _print_summary(patches: dict[str, Any], nodes: dict[str, Any]) -> None:
+def _print_summary(graph: str, patches: dict[str, Any], nodes: dict[str, Any]) -> None:
     from sparseskin.nodes.monitor.table import summary_table
 
     if patches:
-        print(summary_table(patches))
+        print(summary_table(graph, patches))
     print_ends(nodes)
     sys.stdout.flush()
 
@@ -241,13 +243,13 @@ def _run_log(launch: "LaunchFile") -> "RunLog | None":
     """The log files of a run; None, with a warning, if the default folder cannot be made."""
     from sparseskin.launch.run.run_log import MAX_RUNS, RunLog
     from sparseskin.nodes.errors import SparseskinError
-    from sparseskin.nodes.files import user_folder
+    from sparseskin.nodes.files import state_folder
 
     # A folder that is stated must be usable; the default one need not be.
     if launch.log_dir:
         return RunLog(Path(launch.log_dir), launch.name, time.time())
     try:
-        return RunLog(user_folder("state") / "log", launch.name, time.time(), MAX_RUNS)
+        return RunLog(state_folder() / "log", launch.name, time.time(), MAX_RUNS)
     except SparseskinError as error:
         reason = str(error).removeprefix("log_dir: ")
         print(

@@ -26,6 +26,7 @@ from .options import add_layout, as_options, layout_of
 
 MAP_LINES = 16
 MAP_WIDTH = 72
+"""Size of the map of the first frame, characters: it fits a terminal of 80 x 24 with the text."""
 MAX_NAMES = 3
 MAX_NUMBERS = 8
 MAX_STEPS = 1000
@@ -69,8 +70,12 @@ def _head_lines(name: str, layout: Layout) -> list[str]:
         head = recording.head()
         block = next(iter(recording.blocks()), None)
 
+    file_text = name
+    if parts:
+        # A recording of several files, as of one a frame.
+        file_text += f" and {len(parts)} more"
     properties = {
-        "file": f"{name} and {len(parts)} more" if parts else name,
+        "file": file_text,
         "numbers": f"{_sides(head)}{_names(head)}",
         "first item": _first_numbers(block, head),
         "times": _times(head, layout),

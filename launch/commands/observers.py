@@ -6,12 +6,12 @@ import os
 import sys
 import time
 from dataclasses import replace
-from typing import Any
 
 from sparseskin.launch.attach.client import describe_node
 from sparseskin.launch.run.running import RunningGraph, choose_graph
 from sparseskin.nodes.errors import SettingsError
 from sparseskin.nodes.lookup import did_you_mean
+from sparseskin.nodes.process.control import Document
 
 from .options import add_graph, add_page, naming_options, print_ends, rare, whole
 
@@ -46,9 +46,9 @@ def run_beside(
     graph: RunningGraph,
     type_name: str,
     name: str,
-    values: dict[str, Any],
+    values: Document,
     topics: list[str],
-) -> tuple[int, dict[str, Any]]:
+) -> tuple[int, Document]:
     """Run one node that reads topics of a running graph; return its exit code and its summary."""
     from sparseskin.launch.launchfile.load import single_node
     from sparseskin.launch.run.launcher import Launcher
@@ -114,7 +114,7 @@ def _monitor(arguments: argparse.Namespace) -> int:
         )
 
     if summary["patches"]:
-        print(summary_table(summary["patches"]))
+        print(summary_table(graph.name, summary["patches"]))
     # A monitor that read nothing has failed, though it ended well.
     counts = [patch["frames"].values() for patch in summary["patches"].values()]
     if not any(map(any, counts)):

@@ -2,12 +2,10 @@
 
 import argparse
 import contextlib
-import functools
 import inspect
 import json
 import math
 import os
-import re
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -77,18 +75,8 @@ def add_page(
     rare(parser).add_argument("--no-token", action="store_true", help=about)
 
 
-TO_STATE = re.compile(r"\b(?:state|set) [^;]*")
-"""The part of an error that says what has to be stated."""
 USUAL_KEYS = ("n_rows", "n_cols", "unit", "rate_hz", "columns", "time", "topic")
 """Keys of a layout whose options `--help` shows without `--all`."""
-
-
-@functools.cache
-def _stated_key() -> re.Pattern[str]:
-    """A key of a layout in the part of an error that says what has to be stated."""
-    from sparseskin.nodes.sensor.layout.layout import KEYS
-
-    return re.compile(rf"(?<!a )(?<!the )(?<!no )(?<![\w,'-])({'|'.join(KEYS)})\b(=?)")
 
 
 def add_layout(parser: argparse.ArgumentParser, but: Sequence[str] = ()) -> None:
@@ -102,7 +90,9 @@ def add_layout(parser: argparse.ArgumentParser, but: Sequence[str] = ()) -> None
         if key in but:
             continue
         # Options that few people need are left out of the short help.
-        group = parser if key in USUAL_KEYS else rarely_used
+        group: argparse._ActionsContainer = rarely_used
+        if key in USUAL_KEYS:
+            group = parser
         # The first clause is enough for a line of help.
         about = entry["doc"].partition(";")[0]
         group.add_argument(_option_of(key), default=None, help=about, **_kind_of(entry))
@@ -129,8 +119,11 @@ def layout_of(arguments: argparse.Namespace) -> "Layout":
     from sparseskin.nodes.sensor.layout.layout import KEYS, Layout
 
     # A command may leave out some of the keys.
-    values = {key: getattr(arguments, key, None) for key in KEYS}
-    stated = {key: value for key, value in values.items() if value is not None}
+    stated = {}
+    for key in KEYS:
+        value = getattr(arguments, key, None)
+        if value is not None:
+            stated[key] = value
     try:
         return Layout(**stated)
     except SettingsError as error:
@@ -140,21 +133,9 @@ def layout_of(arguments: argparse.Namespace) -> "Layout":
 
 def as_options(text: str) -> str:
     """A line on a file in which the keys of a layout that are to be stated are options."""
-    from sparseskin.nodes.sensor.layout.checks import spelled
+    from sparseskin.launch.launchfile.stated import as_words
 
-    def with_value(key: str) -> str:
-        return f"{_option_of(key)} "
-
-    def option(match: re.Match[str]) -> str:
-        key, equals = match.groups()
-        if equals:
-            return with_value(key)
-        return _option_of(key)
-
-    def clause(match: re.Match[str]) -> str:
-        return _stated_key().sub(option, match[0])
-
-    return TO_STATE.sub(clause, spelled(text, with_value))
+    return as_words(text, lambda key: f"{_option_of(key)} ")
 
 
 def bag_names(names: Sequence[str], out: str) -> list[str]:
@@ -241,7 +222,9 @@ def check_summary(path: Path | None) -> None:
     if not folder.is_dir():
         raise OutputError(f"--summary {path}: {NO_FOLDER}")
     # A new file needs the right to write to its folder.
-    written = path if path.exists() else folder
+    written = folder
+    if path.exists():
+        written = path
     if not os.access(written, os.W_OK):
         raise OutputError(f"--summary {path}: {NO_WRITING}")
 
@@ -289,7 +272,9 @@ def _end_lines(name: str, node: Mapping[str, Any]) -> Iterator[str]:
     # What went wrong comes before what was done.
     n_restarts = node.get("restarts", 0)
     if n_restarts:
-        times = "time" if n_restarts == 1 else "times"
+        times = "times"
+        if n_restarts == 1:
+            times = "time"
         failure = printable(node["failures"][-1])
         yield f"{name}: restarted {n_restarts} {times} after a failure; the last: {failure}"
     for line in node.get("lines", ()):
@@ -357,16 +342,19 @@ def show(
 
 def whole(low: int, high: int | None = None) -> Callable[[str], int]:
     """The type of an option: a whole number of at most 15 digits, `low` or more, up to `high`."""
-    allowed = f"{low} or more" if high is None else f"{low}..{high}"
+    allowed = f"{low} or more"
+    if high is not None:
+        allowed = f"{low}..{high}"
 
     def read(text: str) -> int:
         # int() would also read other digits, spaces and underscores.
         is_number = text.isascii() and text.isdigit() and len(text) < 16
-        if not is_number or int(text) < low or (high is not None and int(text) > high):
+        number = int(text) if is_number else -1
+        if number < low or (high is not None and number > high):
             raise argparse.ArgumentTypeError(
                 f"{text!r}: expected a whole number, {allowed}"
             )
-        return int(text)
+        return number
 
     return read
 
@@ -379,7 +367,9 @@ def real(above_0: bool) -> Callable[[str], float]:
             value = float(text)
             if 0 <= value < math.inf and (value or not above_0):
                 return value
-        allowed = "a number above 0" if above_0 else "a number, 0 or more"
+        allowed = "a number, 0 or more"
+        if above_0:
+            allowed = "a number above 0"
         raise argparse.ArgumentTypeError(f"{text!r}: expected {allowed}")
 
     return read

@@ -33,7 +33,6 @@ OPTIONS = {
         "start_s",
         "duration_s",
         "topics",
-        "remap",
         "lockstep",
         "wait",
     )
@@ -53,14 +52,13 @@ def configure_play(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--loop", action="store_true", default=None, help="start again at the end"
     )
+    # The settings have a unit in their names, the options do not.
     seconds: dict[str, Any] = {"type": real(False), "metavar": "S"}
     parser.add_argument("--start", dest="start_s", help="seconds to skip", **seconds)
     parser.add_argument(
         "--duration", dest="duration_s", help="seconds to play", **seconds
     )
     rarely_used.add_argument("--topics", nargs="+", metavar="T", help="topics to play")
-    about = "other names for topics or patches"
-    rarely_used.add_argument("--remap", nargs="+", metavar="A:=B", help=about)
     about = "send no frame before all readers have handled the last"
     rarely_used.add_argument(
         "--lockstep", action="store_true", default=None, help=about
@@ -115,11 +113,10 @@ def _with_page(
     from sparseskin.nodes.recorder.bag.patches import names_of
     from sparseskin.nodes.recorder.bag.reader import BagReader
 
-    for option in ("topics", "remap"):
-        if getattr(arguments, option):
-            raise SettingsError(
-                f"--{option}: does not go with --open, which plays what it shows"
-            )
+    if arguments.topics:
+        raise SettingsError(
+            "--topics: does not go with --open, which plays what it shows"
+        )
     # What is shown depends on what was recorded.
     with BagReader(path) as bag:
         batches = names_of(bag)

@@ -53,7 +53,7 @@ def _reprocess(arguments: argparse.Namespace) -> int:
     """Reprocess all recordings. Those that fail are named, and do not stop the others; those that
     an earlier run has finished are not computed again.
     """
-    # Before the work, which may take long.
+    # A file that cannot be written is reported before the work, which may take long.
     check_summary(arguments.summary)
     outcomes = _outcomes(_jobs(arguments), arguments.executor)
     for outcome in outcomes:
@@ -86,7 +86,7 @@ def _print_outcome(outcome: "Outcome") -> None:
         print(f"{outcome.job.out}: computed before, by the same command")
         return
     print(f"{outcome.job.out}:")
-    print(summary_table(outcome.patches))
+    print(summary_table(outcome.job.out, outcome.patches))
     per_minute = size_text(60 * outcome.n_bytes / outcome.seconds)
     size = size_text(outcome.n_bytes)
     print(f"{size} in {outcome.seconds:.1f} s: {per_minute} per minute")

@@ -15,13 +15,13 @@ import numpy as np
 
 from sparseskin.launch.attach.heat_map import heat_map
 from sparseskin.launch.attach.text import table
+from sparseskin.launch.launchfile.stated import as_words
 from sparseskin.launch.run.terminal import Terminal
 from sparseskin.messages.text import printable
 from sparseskin.nodes.errors import SourceError
 from sparseskin.nodes.extensions import ADDRESSES, DRIVERS, failures, loaded, offered
 from sparseskin.nodes.lookup import one_line
 from sparseskin.nodes.numerics.arrays import Floats
-from sparseskin.nodes.sensor.layout.checks import spelled
 from sparseskin.nodes.sensor.layout.layout import KEYS, Layout
 from sparseskin.nodes.sensor.source import DEFAULT_RATE_HZ, Listing, Source
 from sparseskin.nodes.sensor.sources import KINDS, find_kind, open_source
@@ -29,6 +29,7 @@ from sparseskin.nodes.sensor.sources import KINDS, find_kind, open_source
 from .options import add_set, naming_options, real, show, stated_values, whole
 
 WAIT_S = 0.05
+"""Longest wait for a frame before keys are looked at, seconds."""
 DRAW_S = 1 / 15
 """Time between two pictures, seconds; chosen: it looks live, and leaves the terminal time."""
 TEXT_S = 1.0
@@ -114,7 +115,8 @@ def _scope(arguments: argparse.Namespace) -> int:
     try:
         source = open_source(arguments.source, layout=_stated(arguments.set))
     except SourceError as error:
-        raise SourceError(spelled(str(error), lambda key: f"--set {key}=")) from error
+        line = as_words(str(error), lambda key: f"--set {key}=")
+        raise SourceError(line) from error
 
     # The last picture goes with the other screen of the terminal: figures are printed after it.
     view = View(source)
@@ -124,6 +126,7 @@ def _scope(arguments: argparse.Namespace) -> int:
             _show_frames(arguments, source, view, lively)
     finally:
         if lively:
+            # Colours off, the cursor and the screen of before.
             sys.stdout.write("\x1b[0m\x1b[?25h\x1b[?1049l")
         source.close()
     print(view.summary())
@@ -136,9 +139,12 @@ def _show_frames(
     """Show frames until their number, the time, or a person ends it."""
     terminal = Terminal()
     # A log would be flooded by what a person can watch.
-    period_s = DRAW_S if lively else TEXT_S
     begin_s = time.monotonic()
-    next_s = begin_s if lively else begin_s + period_s
+    period_s = DRAW_S
+    next_s = begin_s
+    if not lively:
+        period_s = TEXT_S
+        next_s += period_s
     end_s = np.inf
     if arguments.seconds is not None:
         end_s = begin_s + arguments.seconds
@@ -178,7 +184,11 @@ def _frames(source: Source) -> Iterator[Floats | None]:
     if source.arrives:
         while True:
             arrival = source.next_frame(WAIT_S)
-            yield None if arrival is None else arrival[1]
+            if arrival is None:
+                yield None
+                continue
+            _, forces = arrival
+            yield forces
 
     period_s = 1 / (source.rate_hz or DEFAULT_RATE_HZ)
     begin_s = time.monotonic()
@@ -224,8 +234,9 @@ class View:
         self.lowest = min(self.lowest, low)
         self.highest = max(self.highest, high)
         # The brightest colour follows a peak that falls, slowly, so that a map does not flicker.
-        fallen = float(np.exp((self._peak_s - now_s) / PEAK_S))
-        self._peak = max(high, self._peak * fallen)
+        elapsed_s = now_s - self._peak_s
+        decay = float(np.exp(-elapsed_s / PEAK_S))
+        self._peak = max(high, self._peak * decay)
         self._peak_s = now_s
 
     def take_lines(self) -> list[str]:
@@ -299,4 +310,5 @@ def _picture(view: View, now_s: float, size: os.terminal_size) -> str:
         coloured = "NO_COLOR" not in os.environ
         lines += heat_map(view.forces, view.top, size.columns - 1, room, coloured)
     # Each line is written over the one before it, and the rest of the screen is cleared.
-    return "\x1b[H" + "".join(f"{line}\x1b[K\n" for line in lines) + "\x1b[J"
+    written = [f"{line}\x1b[K\n" for line in lines]
+    return "".join(["\x1b[H", *written, "\x1b[J"])

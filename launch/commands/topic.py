@@ -66,10 +66,13 @@ def _list(arguments: argparse.Namespace) -> int:
     subscribers. A latched topic is state: who subscribes late is sent the last message.
     """
     graph = choose_graph(arguments.graph)
+    # In the order of the nodes that publish them.
     topics = list(topics_of(describe(graph)).values())
     rows = []
     for topic in topics:
-        kind = "latched" if topic["latched"] else ""
+        kind = ""
+        if topic["latched"]:
+            kind = "latched"
         readers = ", ".join(reader["node"] for reader in topic["subscribers"])
         rows.append([topic["topic"], kind, topic["publisher"] or ELSEWHERE, readers])
     head = ["TOPIC (/PATCH/SCHEMA)", "", "PUBLISHER", "SUBSCRIBERS"]
@@ -92,10 +95,13 @@ def _info(arguments: argparse.Namespace) -> int:
     fields = {field: kind_text(kind) for field, kind in wire_fields(cls).items()}
     # A program of another language connects to it.
     address = graph.nodes[topic["publisher"]].endpoint
+    kind = "a stream"
+    if topic["latched"]:
+        kind = "state: latched"
     properties = {
         "schema": f"{cls.schema}, version {cls.version}",
         "about": about(cls),
-        "kind": "state: latched" if topic["latched"] else "a stream",
+        "kind": kind,
         "publisher": f"{topic['publisher']}, {topic['sent']} sent",
         "address": address,
         "clock offset": f"{graph.offset_ns} ns",
@@ -136,7 +142,9 @@ def _echo(arguments: argparse.Namespace) -> int:
     field = None
     if arguments.field is not None:
         field = FieldPath(arguments.field, cls)
-    n = 1 if arguments.once else arguments.n
+    n = arguments.n
+    if arguments.once:
+        n = 1
     # A few messages are over before reading them could disturb a graph.
     if n is None or n > FEW_MESSAGES:
         give_way()
@@ -168,6 +176,7 @@ def _hz(arguments: argparse.Namespace) -> int:
 
     graph = choose_graph(arguments.graph)
     topic = find_topic(graph, arguments.topic)
+    # A stated number is measured as a node would: it does not give way.
     if arguments.n is None:
         give_way()
     meter = Meter(graph, topic, arguments.json)
@@ -201,7 +210,9 @@ def kind_text(kind: "FieldKind") -> str:
         case Samples():
             return "array of float32, 2 dimensions; or of whole numbers of few bits and a step"
         case Array():
-            sides = "1 dimension" if kind.ndim == 1 else f"{kind.ndim} dimensions"
+            sides = f"{kind.ndim} dimensions"
+            if kind.ndim == 1:
+                sides = "1 dimension"
             text = f"array of {np.dtype(kind.dtype)}, {sides}"
         case _:
             text = WORDS[type(kind).__name__]

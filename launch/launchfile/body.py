@@ -25,12 +25,12 @@ from sparseskin.nodes.sensor.skin_file import MAX_FILE_CHARS, load_skin, parse_s
 from sparseskin.nodes.settings import Settings, setting
 from sparseskin.nodes.toml import parse_toml
 
-from .tables import Fault, bad_name, read_table
+from .tables import Fault, Place, Table, bad_name, read_table
 
 SKIN = "skin"
 """Name of the table."""
 MAX_BODY = 4096
-"""Most patches of a body."""
+"""Most patches of a body; chosen."""
 BODY_KEYS = ("patches", "description")
 """Keys of a body file."""
 _OF_SKIN = (
@@ -68,7 +68,7 @@ class PatchTable(Settings):
     name: str = setting("", "the patch in topics, on the page and in summaries")
     skin: str = setting("", "name of its skin.toml, in place of keys of the skin")
     host: str = setting("", "host of its nodes; by default as they state")
-    compressor: dict[str, Any] | None = setting(None, "settings of its compressor")
+    compressor: Table | None = setting(None, "settings of its compressor")
     pose: tuple[float, ...] | None = setting(
         None, "x, y, z of its middle in mm, roll, pitch, yaw in degrees"
     )
@@ -89,13 +89,16 @@ class Patch:
     @property
     def kind(self) -> str:
         """What the patches of a batch share."""
-        return repr((self.simulated, self.host, sorted(self.compressor.items())))
+        # Tables are compared by their texts: lists in them cannot be keys.
+        compressor = sorted(self.compressor.items())
+        return repr((self.simulated, self.host, compressor))
 
     @property
-    def simulated(self) -> dict[str, Any]:
+    def simulated(self) -> Table:
         """The setting `simulated` of a sensor node for such patches."""
         s = self.skin
-        values: dict[str, Any] = {
+        # What is None is left to the defaults of the sensor.
+        values: Table = {
             "f_max": s.f_max,
             "noise": s.noise,
             "noise_mid": s.noise_mid,
@@ -106,6 +109,7 @@ class Patch:
             values |= {"n_rows": s.n_rows, "n_cols": s.n_cols}
             values["pitch_mm"] = s.pitch_mm or PITCH_MM
             if s.mask is not None and not s.mask.all():
+                # Texts of 0 and 1, as a file of a skin states it.
                 rows = s.mask.astype(int)
                 values["mask"] = ["".join(map(str, row)) for row in rows]
         return {key: value for key, value in values.items() if value is not None}
@@ -130,23 +134,28 @@ def read_skin(table: object, folder: Path, fault: Fault) -> list[Batch]:
     n_faults = 0
     patches: list[Patch] = []
 
-    def note(place: tuple[str, ...], problem: str) -> None:
+    def note(place: Place, problem: str) -> None:
         nonlocal n_faults
         n_faults += 1
         fault(place, problem)
 
     (stated,), _ = read_table(table, (SKIN,), note, SkinTable())
     if stated.body:
-        patches = read_body(folder / stated.body, partial(note, (SKIN, "body")))
+        note_of_body = partial(note, (SKIN, "body"))
+        patches = read_body(folder / stated.body, note_of_body)
     elif stated.patches is not None:
-        keys = ("n_rows", "n_cols", "pitch_mm", "f_max")
         try:
             skin = SkinDescription(
-                name=SKIN, **{key: getattr(stated, key) for key in keys}
+                name=SKIN,
+                n_rows=stated.n_rows,
+                n_cols=stated.n_cols,
+                pitch_mm=stated.pitch_mm,
+                f_max=stated.f_max,
             )
             # Equal widths, so that the order of names is that of numbers.
             width = len(str(stated.patches - 1))
-            patches = [Patch(f"p{k:0{width}d}", skin) for k in range(stated.patches)]
+            for k in range(stated.patches):
+                patches.append(Patch(f"p{k:0{width}d}", skin))
         except SparseskinError as error:
             key, _, problem = str(error).partition(": ")
             note((SKIN, key), problem)
@@ -167,7 +176,9 @@ def read_body(path: Path, fault: Callable[[str], None]) -> list[Patch]:
     """
     try:
         with path.open(encoding="utf-8") as file:
-            tree = parse_toml(file.read(MAX_FILE_CHARS + 1), MAX_FILE_CHARS)
+            # One more than allowed: that it is too long is seen then.
+            text = file.read(MAX_FILE_CHARS + 1)
+        tree = parse_toml(text, MAX_FILE_CHARS)
     except OSError as error:
         fault(f"{path}: cannot be read ({error.strerror})")
         return []
@@ -180,9 +191,12 @@ def read_body(path: Path, fault: Callable[[str], None]) -> list[Patch]:
             hint = did_you_mean(key, BODY_KEYS)
             fault(f"{path}: {key[:40]}: unknown key{hint}")
     tables = tree.get("patches")
-    if not isinstance(tables, list) or not 1 <= len(tables) <= MAX_BODY:
+    if not isinstance(tables, list):
+        tables = []
+    if not 1 <= len(tables) <= MAX_BODY:
         fault(f"{path}: patches: expected 1..{MAX_BODY} tables [[patches]]")
         return []
+
     # A faulty patch is left out, so that all faults are found at once.
     patches: dict[str, Patch] = {}
     for k, table in enumerate(tables):
@@ -228,14 +242,15 @@ def _patch(table: object, where: str, folder: Path) -> Patch:
 
 
 def _skin(
-    stated: PatchTable, skin_keys: dict[str, Any], where: str, folder: Path
+    stated: PatchTable, skin_keys: Table, where: str, folder: Path
 ) -> SkinDescription:
     """The skin of a patch, from its file or from the keys of its table."""
     if not stated.skin:
         # The taxels of a layout have places of their own.
-        pitch = {} if "points" in skin_keys else {"pitch_mm": PITCH_MM}
-        values = {"name": stated.name, "f_max": PAPER_F_MAX_N, **pitch, **skin_keys}
-        skin = parse_skin(values, where, folder)
+        values: Table = {"name": stated.name, "f_max": PAPER_F_MAX_N}
+        if "points" not in skin_keys:
+            values["pitch_mm"] = PITCH_MM
+        skin = parse_skin(values | skin_keys, where, folder)
     else:
         for key in skin_keys:
             raise SparseskinError(f"{where}.{key}: is stated beside skin")
@@ -253,8 +268,9 @@ def _check_compressor(stated: PatchTable, where: str) -> None:
             raise SparseskinError(f"{where}.compressor.{key}: is given by the body")
     # Checked as of a batch of two, which allows less than one patch does.
     patches = [stated.name, f"{stated.name}_"]
+    values = {**compressor, "patches": patches}
     try:
-        CompressorSettings.from_mapping({**compressor, "patches": patches}).check()
+        CompressorSettings.from_mapping(values).check()
     except SparseskinError as error:
         raise SparseskinError(f"{where}.compressor.{error}") from error
 
@@ -265,55 +281,67 @@ def batches_of(patches: list[Patch], most: int) -> Iterator[Batch]:
     for patch in patches:
         kinds.setdefault(patch.kind, []).append(patch)
 
-    # A message holds all patches of a batch, and their names.
+    # A message holds all patches of a batch, and their names: both have a largest size.
     parts: list[list[Patch]] = []
     for alike in kinds.values():
         skin = alike[0].skin
-        room = max(1, min(most, MAX_ELEMENTS // (skin.n_rows * skin.n_cols)))
+        n_fitting = MAX_ELEMENTS // (skin.n_rows * skin.n_cols)
+        room = max(1, min(most, n_fitting))
         part: list[Patch] = []
+        length = 0
         for patch in alike:
-            length = sum(len(each.name) + 1 for each in [*part, patch])
+            # Names are separated by one character each.
+            length += len(patch.name) + 1
             if len(part) == room or length > MAX_NAMES:
                 parts.append(part)
                 part = []
+                length = len(patch.name) + 1
             part.append(patch)
         parts.append(part)
 
     for k, part in enumerate(parts, start=1):
-        name = "body" if len(parts) == 1 else f"body_{k}"
+        name = "body"
+        if len(parts) > 1:
+            name += f"_{k}"
         yield Batch(name, tuple(part))
 
 
 def expand(
     name: str, table: Mapping[str, Any], fields: set[str], batches: list[Batch]
-) -> dict[str, dict[str, Any]]:
+) -> dict[str, Table]:
     """The tables of the nodes that serve a body, made of one table [nodes.NAME].
 
     `fields` are the names of the settings of its type. A node that serves single patches, or states
     its own, is left as it is, a monitor gets all batches.
     """
     if "batches" in fields:
-        names = {batch.name: batch.names for batch in batches}
+        names = {}
         poses = {}
         for batch in batches:
+            names[batch.name] = batch.names
             for patch in batch.patches:
                 if patch.pose is not None:
                     poses[patch.name] = list(patch.pose)
-        return {name: {"patches": [], "batches": names, "poses": poses, **table}}
-    if not {"patch", "patches"} <= fields or "patches" in table or "patch" in table:
+        of_body = {"patches": [], "batches": names, "poses": poses}
+        return {name: {**of_body, **table}}
+
+    keys = {"patch", "patches"}
+    if not keys <= fields or keys & table.keys():
         return {name: dict(table)}
 
     tables = {}
     for k, batch in enumerate(batches, start=1):
         # All patches of a batch have these in common.
         patch = batch.patches[0]
-        values: dict[str, Any] = {"patch": batch.name, "patches": batch.names}
+        values: Table = {"patch": batch.name, "patches": batch.names}
         if "simulated" in fields:
             values["simulated"] = patch.simulated
         if "ratio" in fields:
             values |= patch.compressor
         if patch.host:
             values["host"] = patch.host
-        node = name if len(batches) == 1 else f"{name}_{k}"
+        node = name
+        if len(batches) > 1:
+            node += f"_{k}"
         tables[node] = {**table, **values}
     return tables

@@ -15,12 +15,11 @@ from sparseskin.nodes.lookup import did_you_mean
 from sparseskin.nodes.node import Node
 from sparseskin.nodes.process.scheduling import Scheduling
 from sparseskin.nodes.registry import node_class
-from sparseskin.nodes.sensor.layout.checks import spelled
 from sparseskin.nodes.settings import Settings, setting
 from sparseskin.nodes.toml import toml_or_text
 
 from .hosts import (
-    Host,
+    Hosts,
     check_exposure,
     check_place,
     give_ports,
@@ -29,7 +28,8 @@ from .hosts import (
 )
 from .processes import Composition, check_processes
 from .spec import LAUNCHER, LIVE_RECORDER, LaunchError, LaunchFile, NodeSpec
-from .tables import read_table, read_tables
+from .stated import as_words
+from .tables import Place, Table, read_table, read_tables
 
 RECORDER = "recorder"
 SKIN = "skin"
@@ -40,7 +40,7 @@ TO_NAME = "RECORDING"
 """Placeholder in a launch file for a recording that the user has to name."""
 TABLES = (GRAPH, "nodes", "hosts", "security", SKIN)
 MAX_NODES = 256
-"""Nodes of a graph."""
+"""Nodes of a graph; chosen: each is a process as a rule."""
 MAX_ERRORS = 50
 """Errors of one file that are reported."""
 MAX_ERROR = 1000
@@ -67,12 +67,12 @@ class Checker:
 
     title: str
     text: str
-    tree: dict[str, Any]
+    tree: Table
     name: str
     folder: Path = Path()
     launched: str = ""
     errors: list[str] = field(default_factory=list)
-    overridden: dict[tuple[str, ...], str] = field(default_factory=dict)
+    overridden: dict[Place, str] = field(default_factory=dict)
     templates: dict[str, str] = field(default_factory=dict)
     supervision: list[Settings] = field(default_factory=list)
     places: dict[str, str] = field(default_factory=dict)
@@ -85,34 +85,34 @@ class Checker:
         # Changes come first: each value is checked as it will be used.
         for override in overrides:
             self.override(override, tables)
+
         defaults = [cls() for cls in GRAPH_TABLES]
         (graph, *self.supervision), _ = read_table(
             self.tree.get(GRAPH, {}), (GRAPH,), self.fault, *defaults
         )
+
+        # Hosts, and who may read what they send.
         hosts = read_hosts(self.tree, self.fault)
         security = read_security(self.tree, hosts, self.folder, self.fault)
         check_exposure(hosts, security, graph.insecure, self.fault)
+
+        # What a recording keeps: the file with the changes as comments.
         changes = "".join(f"# --set {override}\n" for override in overrides)
         self.launched = changes + self.text
+
         tables = self.expanded(tables)
         if record is not None:
-            # A process of its own: that it writes a file holds up no other node.
+            # In place of that of the file.
+            tables.pop(RECORDER, None)
+        self.take_places(tables, hosts)
+        if record is not None:
+            # A process of its own: that it writes a file holds up no other node. It has no place:
+            # it runs wherever --record was typed.
             tables[RECORDER] = {"type": "recorder", "out": record, "process": ""}
             self.overridden[RECORDER, "out"] = "--record"
-        if hosts:
-            for name, table in tables.items():
-                # The recorder of --record runs wherever that was typed.
-                if name != RECORDER or record is None:
-                    self.places[name] = str(table.pop("host", ""))
-                    check_place(name, self.places[name], hosts, self.fault)
 
         nodes = self.nodes(tables)
-        links: list[Link] = []
-        if not self.errors:
-            links = self.joined(nodes)
-            self.place(nodes, hosts)
-            stated = [name for name, table in tables.items() if "process" in table]
-            check_processes(nodes, stated, self.fault)
+        links = self.connected(nodes, tables, hosts)
         if self.errors:
             raise LaunchError(self.errors[:MAX_ERRORS])
         return LaunchFile(
@@ -129,7 +129,15 @@ class Checker:
             title=self.title,
         )
 
-    def nodes(self, tables: dict[str, dict[str, Any]]) -> dict[str, NodeSpec]:
+    def take_places(self, tables: dict[str, Table], hosts: Hosts) -> None:
+        """Take the host of each node out of its table, in a graph of several hosts."""
+        if not hosts:
+            return
+        for name, table in tables.items():
+            self.places[name] = str(table.pop("host", ""))
+            check_place(name, self.places[name], hosts, self.fault)
+
+    def nodes(self, tables: dict[str, Table]) -> dict[str, NodeSpec]:
         """The nodes whose tables have no fault, each checked against what the others state."""
         nodes: dict[str, NodeSpec] = {}
         for name, table in tables.items():
@@ -137,7 +145,8 @@ class Checker:
             if spec is not None:
                 nodes[name] = spec
 
-        facts: dict[str, Any] = {}
+        # What others state has to be known first, whatever their order.
+        facts: Table = {}
         for spec in nodes.values():
             facts |= spec.cls.facts(spec.settings)
         for spec in nodes.values():
@@ -147,26 +156,47 @@ class Checker:
                 self.node_fault(spec.name, spec.values, error)
         return nodes
 
+    def connected(
+        self,
+        nodes: dict[str, NodeSpec],
+        tables: Mapping[str, Table],
+        hosts: Hosts,
+    ) -> list[Link]:
+        """The links of the graph, whose nodes are put on their hosts; none if there is an error."""
+        # Of a part of the nodes, faults would be found that the whole graph does not have.
+        if self.errors:
+            return []
+        links = self.joined(nodes)
+        self.place(nodes, hosts)
+        stated = [name for name, table in tables.items() if "process" in table]
+        check_processes(nodes, stated, self.fault)
+        return links
+
     def joined(self, nodes: dict[str, NodeSpec]) -> list[Link]:
         """The links of the graph; none, and a fault noted, where they cannot be made."""
-        classes = {name: (spec.cls, spec.settings) for name, spec in nodes.items()}
+        specs = {}
+        for name, spec in nodes.items():
+            specs[name] = (spec.cls, spec.settings)
         try:
-            return join(classes)
+            return join(specs)
         except SparseskinError as error:
             self.errors.append(f"{self.title}: {error}")
             return []
 
-    def place(self, nodes: dict[str, NodeSpec], hosts: Mapping[str, Host]) -> None:
+    def place(self, nodes: dict[str, NodeSpec], hosts: Hosts) -> None:
         """Put nodes on their hosts, with the ports at which they publish there."""
         # All that publish, read or not: a recorder more on one host moves no port of another.
         places = self.places
-        publish = {name: places[name] for name in places if nodes[name].outputs}
+        publish = {}
+        for name, place in places.items():
+            if nodes[name].outputs:
+                publish[name] = place
         endpoints = give_ports(publish, hosts, self.fault)
         for name, place in places.items():
             public = endpoints.get(name, "")
             nodes[name] = replace(nodes[name], host=place, public=public)
 
-    def node_tables(self) -> dict[str, dict[str, Any]]:
+    def node_tables(self) -> dict[str, Table]:
         if not self.tree.get("nodes"):
             self.errors.append(
                 f"{self.title}: nodes: expected at least one table [nodes.NAME]"
@@ -175,12 +205,13 @@ class Checker:
         tables = read_tables(self.tree, "nodes", MAX_NODES, self.fault)
         for name in [*tables]:
             if name == LAUNCHER or name.startswith(LIVE_RECORDER):
-                problem = f"'{LAUNCHER}' and '{LIVE_RECORDER}...' are names of the launcher's own"
+                names = f"'{LAUNCHER}' and '{LIVE_RECORDER}...'"
+                problem = f"{names} are names of the launcher's own"
                 self.fault(("nodes", name), problem)
                 del tables[name]
         return tables
 
-    def expanded(self, tables: dict[str, dict[str, Any]]) -> dict[str, dict[str, Any]]:
+    def expanded(self, tables: dict[str, Table]) -> dict[str, Table]:
         """The tables with the nodes that serve the body of the table [skin], where there is one."""
         if SKIN not in self.tree:
             return tables
@@ -188,11 +219,13 @@ class Checker:
         from .body import expand, read_skin
 
         # A file that --set names is found from where the command was typed.
-        folder = Path() if (SKIN, "body") in self.overridden else self.folder
+        folder = self.folder
+        if (SKIN, "body") in self.overridden:
+            folder = Path()
         batches = read_skin(self.tree[SKIN], folder, self.fault)
         if not batches:
             raise LaunchError(self.errors[:MAX_ERRORS])
-        node_tables: dict[str, dict[str, Any]] = {}
+        node_tables: dict[str, Table] = {}
         for name, table in tables.items():
             try:
                 fields = _setting_names(node_class(table["type"]))
@@ -212,7 +245,7 @@ class Checker:
             raise LaunchError(self.errors[:MAX_ERRORS])
         return node_tables
 
-    def override(self, text: str, tables: dict[str, dict[str, Any]]) -> None:
+    def override(self, text: str, tables: dict[str, Table]) -> None:
         match = re.fullmatch(r"([^.=]+)\.([^.=]+)(?:\.([^.=]+))?=(.*)", text, re.DOTALL)
         if match is None:
             self.errors.append(f"--set {text}: expected NODE.KEY=VALUE")
@@ -231,17 +264,20 @@ class Checker:
             self.errors.append(f"--set {text}: unknown node '{node}'{hint}")
             return
         value = toml_or_text(raw)
-        place: tuple[str, ...] = (node, key)
+        place: Place = (node, key)
         if part is not None:
+            # One value of a table: the others stay.
             table = tables[node].get(key)
-            value = {**(table if isinstance(table, dict) else {}), part: value}
+            if not isinstance(table, dict):
+                table = {}
+            value = {**table, part: value}
             # Tables of [graph] are checked as a whole.
             if node != GRAPH:
                 place = (node, key, part)
         tables[node][key] = value
         self.overridden[place] = f"--set {text}"
 
-    def node(self, name: str, table: dict[str, Any]) -> NodeSpec | None:
+    def node(self, name: str, table: Table) -> NodeSpec | None:
         values = dict(table)
         type_name = values.pop("type", None)
         if not isinstance(type_name, str):
@@ -273,13 +309,15 @@ class Checker:
         )
 
     def settings(
-        self, name: str, cls: type[Node[Any]], values: dict[str, Any]
+        self, name: str, cls: type[Node[Any]], values: Table
     ) -> Settings | None:
         """The settings of a node without the values that are faulty, each of which is noted; None
         where the node cannot be checked any further.
         """
-        fields = dataclasses.fields(cls.Settings)
-        deciding = [each.name for each in fields if each.metadata["range"].decides]
+        deciding = []
+        for each in dataclasses.fields(cls.Settings):
+            if each.metadata["range"].decides:
+                deciding.append(each.name)
         right = dict(values)
         decided = True
         while True:
@@ -291,7 +329,8 @@ class Checker:
                 return settings
             except SparseskinError as error:
                 # A value that was left out has to be stated.
-                if str(error).partition(":")[0] in values.keys() - right.keys():
+                begin, _, _ = str(error).partition(":")
+                if begin in values and begin not in right:
                     return None
                 key, part = self.node_fault(name, right, error)
                 if not key:
@@ -317,9 +356,7 @@ class Checker:
             if cause is None or name not in self.places:
                 raise
 
-    def node_fault(
-        self, name: str, values: dict[str, Any], error: Exception
-    ) -> tuple[str, str]:
+    def node_fault(self, name: str, values: Table, error: Exception) -> tuple[str, str]:
         """Note an error that begins with the key of a node; return the key and, of a table, its
         part; "" where it names none.
         """
@@ -330,29 +367,36 @@ class Checker:
         else:
             # The line may begin with a value, as the name of a file.
             problem = str(error)
-            equal = (k for k, value in values.items() if value and value == begin)
-            key = next(equal, "")
+            equal = [k for k, value in values.items() if value and value == begin]
+            key = next(iter(equal), "")
             part = ""
         if part and part not in values[key]:
             part = ""
+        # Not all of them are known.
         place = tuple(filter(None, ("nodes", name, key, part)))
-        problem = spelled(problem, lambda key: f"--set {name}.{key}=")
+        problem = as_words(problem, lambda key: f"--set {name}.{key}=")
         if TO_NAME in problem:
             problem += _to_name(name, values)
         self.fault(place, problem)
         return key, part
 
-    def fault(self, place: tuple[str, ...], problem: str) -> None:
+    def fault(self, place: Place, problem: str) -> None:
         """Note an error at a place, with the line of the file or the --set it comes from."""
         # The file has the table from which the nodes of a body are made.
         if place[0] == "nodes" and len(place) > 1:
-            place = ("nodes", self.templates.get(place[1], place[1]), *place[2:])
-        stated = place if place[0] in (SKIN, GRAPH) else place[1:]
+            _, name, *keys = place
+            place = ("nodes", self.templates.get(name, name), *keys)
+        stated = place[1:]
+        if place[0] in (SKIN, GRAPH):
+            stated = place
         if stated in self.overridden:
             self.errors.append(f"{self.overridden[stated]}: {problem}")
             return
+        # A file that a program made, or a missing table, has no line.
         line = _line_of(self.text, place)
-        where = f"{self.title}:{line}" if line else self.title
+        where = self.title
+        if line:
+            where += f":{line}"
         key = ".".join(place)[:MAX_ERROR]
         self.errors.append(f"{where}: {key}: {one_line_of(problem)}")
         if len(self.errors) >= MAX_ERRORS:
@@ -364,7 +408,7 @@ def _setting_names(cls: type[Node[Any]]) -> set[str]:
     return {setting.name for setting in dataclasses.fields(cls.Settings)}
 
 
-def _to_name(node: str, values: dict[str, Any]) -> str:
+def _to_name(node: str, values: Table) -> str:
     """The --set that names a recording in place of a placeholder; "" where there is none."""
     for key, value in values.items():
         if isinstance(value, str) and TO_NAME in value:
@@ -372,15 +416,17 @@ def _to_name(node: str, values: dict[str, Any]) -> str:
     return ""
 
 
-def _line_of(text: str, place: tuple[str, ...]) -> int:
+def _line_of(text: str, place: Place) -> int:
     """Number of the line of a key, or of the header of its table, or the first in it; 0: none."""
     header = re.compile(r"\s*\[\s*([^\]]+?)\s*\]")
-    table: tuple[str, ...] = ()
+    table: Place = ()
     nearest = 0
     for number, line in enumerate(text.splitlines(), start=1):
         match = header.match(line)
         if match:
-            table = tuple(part.strip(" \"'") for part in match[1].split("."))
+            # A part of a name may be in quotes.
+            parts = match[1].split(".")
+            table = tuple(part.strip(" \"'") for part in parts)
             if table == place:
                 return number
             if table == place[:-1] or table[: len(place)] == place:

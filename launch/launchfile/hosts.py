@@ -21,7 +21,9 @@ from sparseskin.nodes.settings import Settings, setting
 from .tables import Fault, bad_name, read_table, read_tables
 
 PORTS = range(1024, 65536)
+"""Ports that a program may bind without the rights of root."""
 MAX_HOSTS = 32
+"""Hosts of a graph; chosen: each node connects to all that it reads."""
 
 
 @dataclass(frozen=True)
@@ -44,8 +46,13 @@ class Host(Settings):
             )
 
 
+Hosts = Mapping[str, Host]
+"""The hosts of a graph by their names."""
+
+
 def _is_of_a_host(address: str) -> bool:
     try:
+        # A name would have to be looked up, by each host its own way.
         parsed = ipaddress.IPv4Address(address)
     except ValueError:
         return False
@@ -75,14 +82,16 @@ def read_hosts(tree: Mapping[str, Any], fault: Fault) -> dict[str, Host]:
     for name, table in read_tables(tree, "hosts", MAX_HOSTS, fault).items():
         if "address" not in table:
             fault(("hosts", name), "the key 'address' is missing")
-        (host,), _ = read_table(table, ("hosts", name), fault, Host(key=name))
+        default = Host(key=name)
+        (host,), _ = read_table(table, ("hosts", name), fault, default)
+        # Without an address nothing can be placed there: it is reported above.
         if host.address:
             hosts[name] = host
     return hosts
 
 
 def read_security(
-    tree: Mapping[str, Any], hosts: Mapping[str, Host], folder: Path, fault: Fault
+    tree: Mapping[str, Any], hosts: Hosts, folder: Path, fault: Fault
 ) -> Security | None:
     """The table [security], its folder of keys relative to that of the launch file; or None."""
     if "security" not in tree:
@@ -97,7 +106,9 @@ def read_security(
     elif not hosts and bad_name(security.key):
         fault((*place, "key"), "expected the name of this graph's key, a text")
     # All hosts of the graph may read each other; a graph of one host is read with its own key.
-    allow = security.allow or tuple(host.key for host in hosts.values() if host.key)
+    allow = security.allow
+    if not allow:
+        allow = tuple(host.key for host in hosts.values() if host.key)
     if not allow and security.key:
         allow = (security.key,)
     keys = str(folder / security.keys)
@@ -106,7 +117,7 @@ def read_security(
 
 
 def check_exposure(
-    hosts: Mapping[str, Host], security: Security | None, insecure: bool, fault: Fault
+    hosts: Hosts, security: Security | None, insecure: bool, fault: Fault
 ) -> None:
     """Refuse hosts whose topics anyone on the network could read, unless the file states it."""
     for name, host in hosts.items():
@@ -119,7 +130,7 @@ def check_exposure(
             )
 
 
-def check_place(name: str, host: str, hosts: Mapping[str, Host], fault: Fault) -> None:
+def check_place(name: str, host: str, hosts: Hosts, fault: Fault) -> None:
     """Check that the host of a node is one of the graph."""
     if not host:
         fault(("nodes", name), f"the key 'host' is missing (hosts: {', '.join(hosts)})")
@@ -129,13 +140,12 @@ def check_place(name: str, host: str, hosts: Mapping[str, Host], fault: Fault) -
         )
 
 
-def give_ports(
-    places: Mapping[str, str], hosts: Mapping[str, Host], fault: Fault
-) -> dict[str, str]:
+def give_ports(places: Mapping[str, str], hosts: Hosts, fault: Fault) -> dict[str, str]:
     """Public endpoint of each node that publishes, by the name of its host; the n-th node of a
     host, in the order of the launch file, gets its base port + n.
     """
     endpoints: dict[str, str] = {}
+    # Ports follow from the file alone, so that all hosts agree on them.
     next_port = {name: host.base_port for name, host in hosts.items()}
     for node, host in places.items():
         port = next_port[host]
@@ -165,9 +175,7 @@ class Credentials:
     servers: Mapping[str, str]
 
 
-def read_credentials(
-    security: Security, key: str, hosts: Mapping[str, Host]
-) -> Credentials:
+def read_credentials(security: Security, key: str, hosts: Hosts) -> Credentials:
     """Read the key files that the host with a key needs.
     Raises KeyFileError if one is missing or cannot be used.
     """
@@ -178,10 +186,14 @@ def read_credentials(
 
     file = folder / f"{key}{SECRET_SUFFIX}"
     key_pair = read_key_pair(file)
+    # ZeroMQ names a peer by its key alone.
     allowed = {public(name): name for name in security.allow}
     # The nodes of this host read from each other with its own key.
     allowed[key_pair.public] = key
-    peers = {name: host.key for name, host in hosts.items() if host.key != key}
-    servers = {name: public(peer_key) for name, peer_key in peers.items()}
+    servers = {}
+    for name, host in hosts.items():
+        # Hosts may share a key.
+        if host.key != key:
+            servers[name] = public(host.key)
     names = known_names(folder)
     return Credentials(key_pair, str(file.resolve()), allowed, names, servers)

@@ -5,7 +5,6 @@ import re
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 from sparseskin.nodes.arguments import checked
 from sparseskin.nodes.errors import SparseskinError
@@ -19,16 +18,18 @@ from .check import Checker, one_line_of
 from .spec import LaunchError as LaunchError
 from .spec import LaunchFile as LaunchFile
 from .spec import NodeSpec
+from .tables import Table
 
 _TOML_PLACE = re.compile(r" \(at line (\d+), column (\d+)\)$")
 
 
-def single_node(name: str, type_name: str, values: dict[str, Any]) -> LaunchFile:
+def single_node(name: str, type_name: str, values: Table) -> LaunchFile:
     """A graph of one node, as commands make it; its inputs are joined to another graph.
     Raises SparseskinError if a setting is not allowed.
     """
     cls = node_class(type_name)
     settings = cls.Settings.from_mapping(values)
+    # With what depends on this host, as a file that exists already.
     settings.check()
     spec = NodeSpec(name, type_name, cls, values, settings)
     return LaunchFile(name, "", "ipc", {name: spec}, [])
@@ -41,7 +42,10 @@ def find_launch_file(name: str) -> Path:
     path = Path(name)
     if path.suffix == ".toml" or len(path.parts) > 1:
         if not path.is_file():
-            problem = "is no regular file" if path.exists() else "no such launch file"
+            problem = "no such launch file"
+            if path.exists():
+                # A pipe would be waited for.
+                problem = "is no regular file"
             raise LaunchError([f"{name}: {problem}"])
         return path
     if name not in bundled_names():
@@ -92,7 +96,8 @@ def load(
         raise LaunchError([_unreadable(title, error)]) from error
     if folder:
         search_in(folder)
-    launch = Checker(title, text, tree, path.stem, path.parent).check(overrides, record)
+    checker = Checker(title, text, tree, path.stem, path.parent)
+    launch = checker.check(overrides, record)
     return replace(launch, folder=folder)
 
 
@@ -108,11 +113,12 @@ def _unreadable(shown: str, error: Exception) -> str:
 
 
 def load_tables(
-    name: str, tables: dict[str, dict[str, Any]], overrides: Sequence[str] = ()
+    name: str, tables: dict[str, Table], overrides: Sequence[str] = ()
 ) -> LaunchFile:
     """Check a launch file that a program made: its tables [nodes.NAME].
     Raises SparseskinError with the first error that was found.
     """
+    # A text too, which a recording keeps; JSON values of these are TOML as well.
     lines = []
     for node, table in tables.items():
         lines.append(f"[nodes.{node}]\n")

@@ -2,13 +2,12 @@
 
 from collections.abc import Collection, Iterable, Mapping
 from dataclasses import asdict, dataclass
-from typing import Any
 
 from sparseskin.nodes.errors import SettingsError
 from sparseskin.nodes.settings import Settings, setting
 
 from .spec import NodeSpec
-from .tables import Fault, bad_name
+from .tables import Fault, Table, bad_name
 
 
 @dataclass(frozen=True)
@@ -32,6 +31,7 @@ def by_process(specs: Iterable[NodeSpec]) -> list[list[NodeSpec]]:
     groups: dict[tuple[str, ...], list[NodeSpec]] = {}
     for spec in specs:
         key: tuple[str, ...] = (spec.process, spec.host)
+        # Without a process of a name, a node has one of its own.
         if not spec.process:
             key = ("", "", spec.name)
         groups.setdefault(key, []).append(spec)
@@ -45,6 +45,7 @@ def check_processes(
 
     `stated` are the nodes that state the key themselves. That of [graph] is one process a host.
     """
+    # The first node of each name leads: the others are compared with it.
     leaders: dict[str, NodeSpec] = {}
     for name in stated:
         spec = specs[name]
@@ -73,13 +74,12 @@ def _check_same(leader: NodeSpec, spec: NodeSpec, fault: Fault) -> None:
         if value == of_process[key]:
             continue
         difference = f"{value!r} here, {of_process[key]!r} of {leader.name}"
-        fault(
-            ("nodes", spec.name, key),
-            f"{difference} in process {spec.process!r} (allowed: the same)",
-        )
+        problem = f"{difference} in process {spec.process!r} (allowed: the same)"
+        fault(("nodes", spec.name, key), problem)
 
 
-def _settings_of_process(spec: NodeSpec) -> dict[str, Any]:
+def _settings_of_process(spec: NodeSpec) -> Table:
+    # A list, as the file states it: that is how the difference is reported.
     scheduling = asdict(spec.scheduling)
     scheduling["cpus"] = list(spec.scheduling.cpus)
     return scheduling | asdict(spec.restart)

@@ -14,6 +14,7 @@ from sparseskin.nodes.node import Node
 from sparseskin.nodes.process.scheduling import Scheduling
 
 from .hosts import Credentials, Host, Security, read_credentials
+from .tables import Table
 
 LAUNCHER = "launch"
 """Name of the launcher itself, as the receiver of requests and in the log."""
@@ -38,7 +39,7 @@ class NodeSpec:
     name: str
     type_name: str
     cls: type[Node[Any]]
-    values: dict[str, Any]
+    values: Table
     settings: Any
     restart: RestartPolicy = RestartPolicy()
     scheduling: Scheduling = Scheduling()
@@ -51,13 +52,18 @@ class NodeSpec:
         """Topics that it publishes."""
         return self.cls.outputs(self.settings)
 
-    def with_live(self, values: dict[str, Any]) -> Self:
+    def with_live(self, values: Table) -> Self:
         """The same node with what was changed while it ran."""
         live = self.settings.live_values()
-        changed = {key: v for key, v in values.items() if v != live[key]}
+        changed = {}
+        for key, value in values.items():
+            if value != live[key]:
+                changed[key] = value
         # TOML has no null: what is not stated is left out.
         stated = self.values | changed
-        stated = {key: v for key, v in stated.items() if v is not None}
+        for key, value in changed.items():
+            if value is None:
+                del stated[key]
         settings = replace(self.settings, **changed)
         return replace(self, values=stated, settings=settings)
 
@@ -108,10 +114,14 @@ class LaunchFile:
         elsewhere: dict[str, NodeSpec] = {}
         for name, spec in self.nodes.items():
             # A recorder that was asked for on the command line is of this host, too.
-            is_here = spec.host in ("", host_name)
-            (nodes if is_here else elsewhere)[name] = spec
-        links = self.links
-        links = [link for link in links if link.reader in nodes or link.writer in nodes]
+            if spec.host in ("", host_name):
+                nodes[name] = spec
+            else:
+                elsewhere[name] = spec
+        links = []
+        for link in self.links:
+            if link.reader in nodes or link.writer in nodes:
+                links.append(link)
 
         # One line for all nodes that state the same.
         refused: dict[str, list[str]] = {}
@@ -121,9 +131,10 @@ class LaunchFile:
             except SettingsError as error:
                 refused.setdefault(str(error), []).append(spec.name)
         if refused:
-            raise LaunchError(
-                [f"{self.title}: {', '.join(n)}: {e}" for e, n in refused.items()]
-            )
+            lines = []
+            for problem, names in refused.items():
+                lines.append(f"{self.title}: {', '.join(names)}: {problem}")
+            raise LaunchError(lines)
         return replace(
             self,
             nodes=nodes,
@@ -149,6 +160,7 @@ class LaunchFile:
 
     def _credentials(self, host_name: str) -> Credentials | None:
         """The keys of one host ("": the graph has but one), read from their files; or None."""
+        # Read here and not with the file: each host has the secret of its own key alone.
         if self.security is None:
             return None
         key = self.security.key

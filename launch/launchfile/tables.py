@@ -10,17 +10,21 @@ from sparseskin.nodes.errors import SettingsError
 from sparseskin.nodes.lookup import did_you_mean
 from sparseskin.nodes.settings import Settings
 
-Fault = Callable[[tuple[str, ...], str], None]
+Table = dict[str, Any]
+"""A table of TOML: its values by their keys."""
+Place = tuple[str, ...]
+"""Keys that lead to a value, from the outermost table on."""
+Fault = Callable[[Place, str], None]
 """Called with the place and the text of each error."""
 
 
 def read_table(
     table: object,
-    place: tuple[str, ...],
+    place: Place,
     fault: Fault,
     *defaults: Settings,
     more: bool = False,
-) -> tuple[list[Any], dict[str, Any]]:
+) -> tuple[list[Any], Table]:
     """The settings `defaults` with the values that a table states; with `more`, the values of other
     keys too, which are refused otherwise.
     """
@@ -28,7 +32,7 @@ def read_table(
     index_of_key: dict[str, int] = {}
     for index, default in enumerate(defaults):
         index_of_key |= {field.name: index for field in fields(default)}
-    of_other_keys: dict[str, Any] = {}
+    of_other_keys: Table = {}
     if not isinstance(table, dict):
         fault(place, f"expected a table [{'.'.join(place)}]")
         return settings, of_other_keys
@@ -49,7 +53,7 @@ def read_table(
 
 def read_tables(
     tree: Mapping[str, Any], kind: str, most: int, fault: Fault
-) -> dict[str, dict[str, Any]]:
+) -> dict[str, Table]:
     """The tables [KIND.NAME] whose names are allowed, `most` at most."""
     tables = tree.get(kind, {})
     if not isinstance(tables, dict):
@@ -62,10 +66,13 @@ def read_tables(
     for name, table in tables.items():
         if not isinstance(table, dict):
             fault((kind, name), f"expected a table [{kind}.{name}]")
-        elif why := bad_name(name):
-            fault((kind, name), why)
-        else:
-            good[name] = dict(table)
+            continue
+        reason = bad_name(name)
+        if reason:
+            fault((kind, name), reason)
+            continue
+        # A copy: --set and hosts change it, and the tree stays as it was read.
+        good[name] = dict(table)
     return good
 
 

@@ -5,7 +5,6 @@ from collections.abc import Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 from tqdm import tqdm
 
@@ -23,6 +22,7 @@ from sparseskin.messages import (
 from sparseskin.messages.topics import split_topic, topic_of
 from sparseskin.nodes.errors import SettingsError, SparseskinError
 from sparseskin.nodes.files import whole_file
+from sparseskin.nodes.process.control import Document
 from sparseskin.nodes.recorder.bag.format import BagError
 from sparseskin.nodes.recorder.bag.frames import last_messages
 from sparseskin.nodes.recorder.bag.patches import names_of
@@ -58,7 +58,7 @@ class Outcome:
     """
 
     job: Job
-    patches: dict[str, Any]
+    patches: Document
     error: str = ""
     n_bytes: int = 0
     seconds: float = 0.0
@@ -75,12 +75,14 @@ def run_job(job: Job, progress: bool = False) -> Outcome:
         source = Path(job.source)
         if is_finished(job, source):
             return Outcome(job, {}, was_finished=True)
-        with whole_file(Path(job.out)) as draft, removing(draft, Path(job.out)):
+        out = Path(job.out)
+        with whole_file(out) as draft, removing(draft, out):
             patches = _run(job, source, draft, progress)
         n_bytes = source.stat().st_size
     except SparseskinError as error:
         return Outcome(job, {}, str(error))
-    return Outcome(job, patches, "", n_bytes, time.monotonic() - begin_s)
+    seconds = time.monotonic() - begin_s
+    return Outcome(job, patches, n_bytes=n_bytes, seconds=seconds)
 
 
 def is_finished(job: Job, source: Path) -> bool:
@@ -90,15 +92,17 @@ def is_finished(job: Job, source: Path) -> bool:
     out = Path(job.out)
     if not out.is_file():
         return False
+    # A source that was written again since has other frames.
     if out.stat().st_mtime_ns < source.stat().st_mtime_ns:
         return False
     with BagReader(source, whole=False) as bag:
         expected = metadata_of(origin_of(job, bag), "")
     try:
         with BagReader(out, whole=False) as bag:
-            names = ("launch", "versions")
-            is_same = all(bag.metadata.get(name) == expected[name] for name in names)
-            return is_same and not bag.recovered
+            for name in ("launch", "versions"):
+                if bag.metadata.get(name) != expected[name]:
+                    return False
+            return not bag.recovered
     except BagError:
         return False
 
@@ -107,25 +111,36 @@ def origin_of(job: Job, bag: BagReader) -> str:
     """Origin of the result of a job, as it is kept in it: the command and the launch file of its
     recording.
     """
+    # By it, an earlier result of the same work is recognised.
     changes = " ".join(f"--set {text}" for text in job.overrides)
     command = f"# sparseskin reprocess {Path(job.source).name} {changes}".rstrip()
     return f"{command} --from {job.start_from}\n{bag.metadata.get('launch', '')}"
 
 
-def _run(job: Job, source: Path, out: Path, progress: bool) -> dict[str, Any]:
+def _run(job: Job, source: Path, out: Path, progress: bool) -> Document:
     """Write the result of a job; return the monitor's summary by patch, without latencies."""
     with BagReader(source, whole=False) as bag:
-        total = max((info.n_messages for info in bag.topics.values()), default=0)
+        # The longest topic has a message a frame.
+        counts = [info.n_messages for info in bag.topics.values()]
         launch = make_graph(job, bag, out)
-    bus = Pipeline({n.name: (n.cls, n.settings) for n in launch.nodes.values()})
-    bar = tqdm(total=total, disable=not progress, unit="frame", desc=source.name)
+    specs = {}
+    for node in launch.nodes.values():
+        specs[node.name] = (node.cls, node.settings)
+    bus = Pipeline(specs)
+    bar = tqdm(
+        total=max(counts, default=0),
+        disable=not progress,
+        unit="frame",
+        desc=source.name,
+    )
     with bar, closing(bus):
         for _ in bus.frames():
             bar.update()
     bus.check()
     patches = bus.reports()["monitor"]["patches"]
     # Offline a frame is done when it was acquired: its latency would mean nothing.
-    return {name: patch | {"latency_ms": None} for name, patch in patches.items()}
+    without_latency = {"latency_ms": None}
+    return {name: patch | without_latency for name, patch in patches.items()}
 
 
 def make_graph(job: Job, bag: BagReader, out: Path) -> LaunchFile:
@@ -135,8 +150,10 @@ def make_graph(job: Job, bag: BagReader, out: Path) -> LaunchFile:
     contradicts the settings.
     """
     topics = [split_topic(topic) for topic in bag.topics]
-    patch = _only_patch({patch for patch, _ in topics}, names_of(bag))
+    patches = {patch for patch, _ in topics}
+    patch = _only_patch(patches, names_of(bag))
     present = {schema for _, schema in topics}
+    # Recorded measurements are of the compressor that made them.
     is_measured = job.start_from == "measurements"
     if is_measured and job.changes("compressor"):
         raise SettingsError(
@@ -145,6 +162,7 @@ def make_graph(job: Job, bag: BagReader, out: Path) -> LaunchFile:
     if job.start_from == "auto" and Measurements.schema in present:
         is_measured = not job.changes("compressor")
 
+    # What the player publishes, and the nodes that compute the rest.
     schemas = [SkinState.schema, Taxels.schema, Truth.schema]
     stations = ["reconstructor"]
     if Calibration.schema in present:
@@ -153,7 +171,7 @@ def make_graph(job: Job, bag: BagReader, out: Path) -> LaunchFile:
         schemas += [PhiState.schema, Measurements.schema]
     else:
         stations.insert(0, "compressor")
-    tables: dict[str, dict[str, Any]] = {
+    tables: dict[str, Document] = {
         "player": {
             "type": "player",
             "file": str(bag.path),
@@ -163,8 +181,10 @@ def make_graph(job: Job, bag: BagReader, out: Path) -> LaunchFile:
     }
     for name in stations:
         tables[name] = {"type": name, "patch": patch}
-    states = last_messages(bag, [topic_of(patch, SolverState.schema)])
-    recorded = next(iter(states.values()), None)
+
+    topic = topic_of(patch, SolverState.schema)
+    states = last_messages(bag, [topic])
+    recorded = states.get(topic)
     # Unchanged settings are to give the recorded results again.
     if isinstance(recorded, SolverState) and not job.changes("reconstructor"):
         tables["reconstructor"] |= iterations_of(recorded)
@@ -178,20 +198,23 @@ def make_graph(job: Job, bag: BagReader, out: Path) -> LaunchFile:
 
 
 def _only_patch(patches: set[str], batches: Mapping[str, Sequence[str]]) -> str:
-    n_patches = sum(len(batches.get(patch, (patch,))) for patch in patches)
+    n_patches = 0
+    for patch in patches:
+        n_patches += len(batches.get(patch, (patch,)))
     if batches or n_patches != 1:
-        in_batches = " in batches" if batches else ""
-        raise SparseskinError(
-            f"holds {n_patches} patches{in_batches}; reprocess takes recordings of one"
-        )
+        fault = f"holds {n_patches} patches"
+        if batches:
+            fault += " in batches"
+        raise SparseskinError(f"{fault}; reprocess takes recordings of one")
     (patch,) = patches
     return patch
 
 
-def iterations_of(recorded: SolverState) -> dict[str, Any]:
+def iterations_of(recorded: SolverState) -> Document:
     """Settings of the reconstructor that give each frame the iterations that it had, where their
     number followed from the speed of the host that recorded it.
     """
+    # Each frame had as many as fitted into its time, of which tiles are the measure.
     if recorded.frame_tiles:
         times = {"frame_tiles": recorded.frame_tiles, "step_tiles": recorded.step_tiles}
         return {"iterations": recorded.max_iterations, "options": times}

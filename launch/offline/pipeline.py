@@ -99,20 +99,25 @@ class Pipeline(Bus):
 
     def frames(self, n_frames: int | None = None) -> Iterator[list[Message]]:
         """As of `Bus`, all frames of the source; at the end every node has processed them."""
-        (source,) = (host for host in self.hosts.values() if host.is_source)
+        (source,) = [host for host in self.hosts.values() if host.is_source]
         for work in (partial(self._acquire, source), self._follow):
-            thread = threading.Thread(target=self._guard, args=(work,), daemon=True)
+            # A daemon: a process that is interrupted does not wait for it.
+            guarded = partial(self._guard, work)
+            thread = threading.Thread(target=guarded, daemon=True)
             self._threads.append(thread)
             thread.start()
 
         for messages in self._acquired.items():
+            # This thread is the middle one: the solver works here.
             delivered = self._deliver(messages)
             # What listeners process later is processed at the time of now.
-            self._delivered.give((self._clock.now_ns(), self._behind))
+            now_ns = self._clock.now_ns()
+            self._delivered.give((now_ns, self._behind))
             self._behind = []
             _advance(self._clock, _newest_ns(delivered))
             yield delivered
         self._delivered.end()
+        # What listeners write, as a recording, is complete only then.
         for thread in self._threads:
             thread.join()
         if self._error is not None:
@@ -125,7 +130,9 @@ class Pipeline(Bus):
         super().close()
 
     def _clock_of(self, name: str) -> Clock:
-        return self._clock_behind if name in self._listeners else self._clock
+        if name in self._listeners:
+            return self._clock_behind
+        return self._clock
 
     def _hand(self, reader: NodeHost, message: Message) -> Iterator[Message]:
         if reader.outputs:
@@ -141,6 +148,7 @@ class Pipeline(Bus):
         while not source.finished and not self._stopped.is_set():
             # Stamps increase, also where a frame brings no message.
             stamp_ns = max(newest_ns, stamp_ns + 1)
+            # Read whole before they are handed over: the source is used in this thread alone.
             messages = list(source.tick(Tick(stamp_ns, index)))
             newest_ns = max(newest_ns, _newest_ns(messages))
             index += 1
@@ -161,6 +169,7 @@ class Pipeline(Bus):
         try:
             work()
         except Exception as error:
+            # Kept, since an exception of a thread would only be printed.
             self._error = error
             self._stopped.set()
 

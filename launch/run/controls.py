@@ -24,7 +24,7 @@ from sparseskin.launch.launchfile.spec import LAUNCHER, LIVE_RECORDER, LaunchFil
 from sparseskin.nodes.errors import RefusedError, SparseskinError
 from sparseskin.nodes.files import is_served
 from sparseskin.nodes.lookup import did_you_mean
-from sparseskin.nodes.process.control import MAX_DEPTH, Connection, is_shallow
+from sparseskin.nodes.process.control import MAX_DEPTH, Connection, Document, is_shallow
 
 from .fleet import Fleet
 from .process import NodeProcess, awake_s
@@ -34,7 +34,7 @@ from .state import graph_description, graph_state
 NEWS_S = 0.5
 """Longest time between two published states of the graph; a change is published at once."""
 
-Reply = Callable[[dict[str, Any]], None]
+Reply = Callable[[Document], None]
 """Called with the answer: {id, node, done, text}."""
 Say = Callable[[bool, str], None]
 """Called with the answer to one request: done or not, and the text."""
@@ -45,7 +45,9 @@ some seconds to make, compiled loops as long to compile, and more where the host
 MAX_OPEN = 256
 """Most requests without an answer."""
 MAX_CLIENTS = 32
+"""Most programs that are connected at once; a command is connected as long as it asks."""
 MAX_LINE_BYTES = 65536
+"""Longest request: settings may be tables of some hundred values."""
 
 
 class Requests:
@@ -62,12 +64,19 @@ class Requests:
 
     def take(self, request: Mapping[str, Any], reply: Reply) -> None:
         """Pass on one request {id, node, command, value}; the reply is called once."""
+        # Whatever a client sends is answered, and so named, by texts of a bounded length.
         stated = [request.get(key) for key in ("id", "node", "command")]
         number, node, command = map(str, stated)
         value = request.get("value")
 
         def say(done: bool, text: str) -> None:
-            reply({"id": number[:64], "node": node[:64], "done": done, "text": text})
+            answer = {
+                "id": number[:64],
+                "node": node[:64],
+                "done": done,
+                "text": text,
+            }
+            reply(answer)
 
         try:
             if not all(isinstance(entry, str) for entry in stated):
@@ -81,6 +90,7 @@ class Requests:
         except RefusedError as error:
             say(False, str(error))
             return
+
         # Numbers of clients may be equal; towards the node each request has a key of its own.
         key = secrets.token_hex(8)
         self._open[key] = node, say, awake_s() + PATIENCE_S
@@ -95,7 +105,8 @@ class Requests:
 
     def expire(self) -> None:
         """Answer in place of nodes that are late or gone."""
-        for key, (name, say, deadline_s) in list(self._open.items()):
+        for key, request in list(self._open.items()):
+            name, say, deadline_s = request
             node = self._nodes.get(name)
             if node is None or node.exit_code() is not None:
                 why = "has ended"
@@ -137,7 +148,7 @@ class ControlServer:
         path: str,
         fleet: Fleet,
         take: Callable[[Mapping[str, Any], Reply], None],
-        describe: Callable[[str | None], dict[str, Any]],
+        describe: Callable[[str | None], Document],
     ) -> None:
         self._path = path
         self._fleet = fleet
@@ -172,7 +183,7 @@ class ControlServer:
             if not client.flush():
                 self._drop(client)
 
-    def publish(self, fields: dict[str, Any]) -> None:
+    def publish(self, fields: Document) -> None:
         """Send one object, which a newer one will replace, to all clients that watch and have read
         what was sent before.
         """
@@ -181,6 +192,7 @@ class ControlServer:
                 self._send(client, fields)
 
     def close(self) -> None:
+        # Whoever waits for the end of the graph sees it by this.
         for client in list(self._clients):
             self._drop(client)
         self._socket.close()
@@ -203,6 +215,7 @@ class ControlServer:
             self._drop(client)
             return
         for line in lines:
+            # Anything may come: a deep nest of brackets makes the parser recurse.
             try:
                 request = json.loads(line)
             except (ValueError, RecursionError):
@@ -212,7 +225,8 @@ class ControlServer:
             elif request.get("watch"):
                 client.watches = True
             elif "describe" in request:
-                self._send(client, {"description": self._describe(request["describe"])})
+                description = self._describe(request["describe"])
+                self._send(client, {"description": description})
             elif request.get("stop") is True:
                 # The handler of the launcher counts it as an interrupt.
                 self._send(client, {"stopping": True})
@@ -255,6 +269,7 @@ class LiveRecording:
             )
         if self._say is not None:
             raise RefusedError("record: the last request is still being done")
+        # Two pages may ask at once: the second one is told.
         if value and self.out is not None:
             raise RefusedError(f"record: already on: {self.out}")
         if not value and self.out is None:
@@ -279,20 +294,22 @@ class LiveRecording:
             self._done(False, f"{out}: {reason}")
         elif event == "ended":
             self.out = None
+            # A recorder that was ended early has no report.
             recording = node.report.get("recording", {})
-            fault = recording.get("error")
             n_messages = recording.get("n_messages", 0)
             text = f"{out}: no message came, so there is no file"
             if n_messages:
                 text = f"{out}: {n_messages} messages recorded"
+            fault = recording.get("error")
             self._done(not fault, fault or text)
 
     def _begin(self) -> None:
         self._n += 1
         self.out = f"{self._launch.name}-{time.strftime('%Y%m%d-%H%M%S')}.mcap"
         self._node = f"{LIVE_RECORDER}{self._n}"
-        specs = self._launch.nodes.values()
-        topics = list(dict.fromkeys(topic for spec in specs for topic in spec.outputs))
+        topics: list[str] = []
+        for spec in self._launch.nodes.values():
+            topics += spec.outputs
         values = {
             "out": self.out,
             "topics": topics,
@@ -300,8 +317,8 @@ class LiveRecording:
             "source": self._launch.name,
         }
         try:
-            spec = single_node(self._node, "recorder", values).nodes[self._node]
-            self._fleet.add(spec, topics)
+            graph = single_node(self._node, "recorder", values)
+            self._fleet.add(graph.nodes[self._node], topics)
         except SparseskinError as error:
             self.out = None
             raise RefusedError(f"record: {error}") from error
@@ -333,6 +350,7 @@ class Controls:
         """Publish the state of the graph; answer in place of nodes that are late."""
         self._requests.expire()
         self._server.flush()
+        # A node that dies is to be seen at once, a counter in half a second.
         conditions = [self._fleet.condition(node) for node in self._fleet]
         if conditions == self._conditions and awake_s() < self._next_s:
             return
@@ -346,11 +364,13 @@ class Controls:
         """Accept no more requests."""
         self._server.close()
 
-    def _describe(self, node: str | None) -> dict[str, Any]:
+    def _describe(self, node: str | None) -> Document:
         return graph_description(self._launch, self._fleet, self._recording.out, node)
 
-    def _hear(self, node: NodeProcess, event: dict[str, Any]) -> None:
-        self._recording.hear(node, event["event"])
-        if event["event"] == "answer":
+    def _hear(self, node: NodeProcess, event: Document) -> None:
+        kind = event["event"]
+        self._recording.hear(node, kind)
+        if kind == "answer":
             self._requests.answered(event)
+            # Settings may have changed: the state is published with the next look.
             self._next_s = 0.0

@@ -4,7 +4,7 @@ import os
 import secrets
 import selectors
 import signal
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -16,6 +16,7 @@ from sparseskin.nodes.errors import SparseskinError
 from sparseskin.nodes.graph import Link
 from sparseskin.nodes.network.keys import read_key_pair
 from sparseskin.nodes.network.sockets import Peer
+from sparseskin.nodes.process.control import Document
 
 from .process import NodeProcess, awake_s, exit_text, start_process
 from .restarts import Restarts
@@ -27,12 +28,13 @@ a busy host is three times as much."""
 GRACE_S = 2.0
 """Time from one request to end to the next, more forceful one, seconds."""
 POLL_S = 0.1
+"""Longest wait for events, seconds: restarts and hangs are noticed within it."""
 ANY_PORT = "tcp://127.0.0.1:*"
 
 EXIT_FAILED = 1
 EXIT_USAGE = 2
 
-Hear = Callable[[NodeProcess, dict[str, Any]], None]
+Hear = Callable[[NodeProcess, Document], None]
 
 
 class Fleet:
@@ -67,9 +69,10 @@ class Fleet:
         self._to_pause: set[str] = set()
         self._bound: dict[str, str] = {}
         self._page_token = secrets.token_urlsafe(24)
-        self.restarts = {
-            name: Restarts(spec.restart) for name, spec in launch.nodes.items()
-        }
+        # By name, and for good: a node that is started again is another `NodeProcess`.
+        self.restarts = {}
+        for name, spec in launch.nodes.items():
+            self.restarts[name] = Restarts(spec.restart)
         self.nodes: dict[str, NodeProcess] = {}
         self.exit_code = 0
         self.late_code = 0
@@ -83,13 +86,17 @@ class Fleet:
             pair = read_key_pair(Path(joined.key_file))
             keys = Credentials(pair, joined.key_file, {}, {}, {})
         self._keys = keys
-        self._public = keys.key_pair.public if keys else ""
+        self._public = ""
+        key_of_host: Mapping[str, str] = {}
+        if keys is not None:
+            self._public = keys.key_pair.public
+            key_of_host = keys.servers
 
         # Writers that are not processes of this launcher.
         self._peers: dict[str, Peer] = {}
-        servers = keys.servers if keys else {}
         for name, spec in launch.elsewhere.items():
-            key = servers.get(spec.host, self._public)
+            # Hosts that share a key are not listed: theirs is the own one.
+            key = key_of_host.get(spec.host, self._public)
             self._peers[name] = Peer(name, spec.public, spec.host, key)
         if joined is not None:
             for name, node in joined.nodes.items():
@@ -105,8 +112,11 @@ class Fleet:
 
     def add(self, spec: NodeSpec, topics: list[str]) -> None:
         """Start one process more in a graph that runs; it reads the topics."""
-        writers = {topic: node.name for node in self for topic in node.spec.outputs}
-        self._links += [Link(topic, writers[topic], spec.name) for topic in topics]
+        writers: dict[str, str] = {}
+        for node in self:
+            writers |= dict.fromkeys(node.spec.outputs, node.name)
+        for topic in topics:
+            self._links.append(Link(topic, writers[topic], spec.name))
         self.restarts[spec.name] = Restarts(spec.restart)
         self._start_process([spec], late=True)
 
@@ -115,15 +125,21 @@ class Fleet:
         nodes = {}
         for node in self:
             nodes[node.name] = RunningNode(
-                node.spec.type_name, node.endpoint, node.outputs, self._public
+                node.spec.type_name,
+                node.endpoint,
+                node.outputs,
+                self._public,
             )
+        key_file = ""
+        if self._keys is not None:
+            key_file = self._keys.file
         return RunningGraph(
             self._launch.name,
             os.getpid(),
             self._offset_ns,
             self._launch.text,
             nodes,
-            key_file=self._keys.file if self._keys else "",
+            key_file=key_file,
             page_token=self._page_token,
         )
 
@@ -188,8 +204,8 @@ class Fleet:
             self._close(node)
 
     def _listen_to_all(self) -> None:
-        # A node has two pipes; both are read at once.
         ready = self._selector.select(POLL_S)
+        # A node has two pipes, which are read together: it is listened to once.
         targets = {id(key.data): key.data for key, _ in ready}
         for target in targets.values():
             if isinstance(target, NodeProcess):
@@ -199,19 +215,23 @@ class Fleet:
 
     def _start_process(self, specs: Sequence[NodeSpec], late: bool) -> None:
         """Start a process of nodes; those that were bound before are bound there again."""
-        configs = [self._config(spec, late) for spec in specs]
-        for node in start_process(list(zip(specs, configs, strict=True))):
+        configured = [(spec, self._config(spec, late)) for spec in specs]
+        for node in start_process(configured):
             self.nodes[node.name] = node
             for pipe in node.pipes:
                 self._selector.register(pipe, selectors.EVENT_READ, node)
 
-    def _config(self, spec: NodeSpec, late: bool) -> dict[str, Any]:
+    def _config(self, spec: NodeSpec, late: bool) -> Document:
         """Configuration of a node, as of `Runner`."""
         # The number of a node stays the same when it is started again.
         number = list(self.restarts).index(spec.name)
         control = ""
         if spec.cls.watches:
-            control = control_path(self._joined.pid if self._joined else os.getpid())
+            # A monitor that has joined a graph watches that one.
+            pid = os.getpid()
+            if self._joined is not None:
+                pid = self._joined.pid
+            control = control_path(pid)
         return {
             "name": spec.name,
             "type": spec.type_name,
@@ -238,39 +258,48 @@ class Fleet:
             return f"ipc://{socket_path(number)}"
         return ANY_PORT
 
-    def _links_of(self, name: str) -> dict[str, Any]:
+    def _links_of(self, name: str) -> Document:
         """Topics that a node reads, its readers, and which of both are on other hosts."""
         elsewhere = self._launch.elsewhere
-        inputs = {
-            link.topic: link.writer for link in self._links if link.reader == name
-        }
-        readers = sorted({link.reader for link in self._links if link.writer == name})
+        inputs = {}
+        readers = set()
+        for link in self._links:
+            if link.reader == name:
+                inputs[link.topic] = link.writer
+            if link.writer == name:
+                readers.add(link.reader)
         distant_inputs = {}
         for topic, writer in inputs.items():
             if writer in elsewhere:
                 distant_inputs[topic] = elsewhere[writer].host
         # The start of a graph does not wait for observers.
-        distant_readers = [
-            reader
-            for reader in readers
-            if reader in elsewhere and not elsewhere[reader].cls.observes
-        ]
+        distant_readers = []
+        for reader in sorted(readers):
+            if reader in elsewhere and not elsewhere[reader].cls.observes:
+                distant_readers.append(reader)
         return {
             "inputs": list(inputs),
-            "readers": readers,
+            "readers": sorted(readers),
             "distant_readers": distant_readers,
             "distant_inputs": distant_inputs,
         }
 
     def _companions(self, node: NodeProcess) -> list[NodeProcess]:
         """The nodes of the process of a node, itself included, whose streams have not ended."""
-        process = node.process
-        return [each for each in self if each.process is process and not each.ended]
+        companions = []
+        for each in self:
+            if each.process is node.process and not each.ended:
+                companions.append(each)
+        return companions
 
     def _start_again(self, dead: NodeProcess) -> None:
         """Start the nodes of a process that died, at their endpoints, and paused as they were."""
-        due = [node for node in self if self.restarts[node.name].due_s is not None]
-        nodes = [node for node in due if node.process is dead.process]
+        nodes = []
+        for node in self:
+            is_due = self.restarts[node.name].due_s is not None
+            if is_due and node.process is dead.process:
+                nodes.append(node)
+
         specs = []
         for node in nodes:
             self._close(node)
@@ -278,7 +307,9 @@ class Fleet:
             self._log(f"[launch] {node.name} is started again (restart {n_restarts})")
             if node.state.get("paused"):
                 self._to_pause.add(node.name)
-            specs.append(node.spec.with_live(node.settings).again(n_restarts))
+            # What was set while it ran stays set.
+            spec = node.spec.with_live(node.settings)
+            specs.append(spec.again(n_restarts))
         # Not before: what they have reported last is no further failure.
         for node in nodes:
             self.restarts[node.name].due_s = None
@@ -337,7 +368,10 @@ class Fleet:
         if not hang_s or now_s - node.heard_s <= hang_s:
             return
         nodes = self._companions(node)
-        have = "has" if len(nodes) == 1 else "have"
+        # Not SIGTERM: a process that hangs may handle no signal.
+        have = "have"
+        if len(nodes) == 1:
+            have = "has"
         silence = f"been silent for {hang_s:g} s"
         self._log(f"[launch] {_names(nodes)} {have} {silence}: SIGKILL")
         node.send_signal(signal.SIGKILL)
@@ -356,7 +390,7 @@ class Fleet:
         for event in events:
             self._take(node, event)
 
-    def _take(self, node: NodeProcess, event: dict[str, Any]) -> None:
+    def _take(self, node: NodeProcess, event: Document) -> None:
         for line in event.get("trace", "").splitlines():
             self._record(f"[{node.name}] {line}")
         match event["event"]:

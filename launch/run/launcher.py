@@ -1,15 +1,16 @@
 """Runs a graph from start to end: starts its nodes, joins them, watches them, ends them all."""
 
 import contextlib
+import math
 import os
 import signal
 from collections.abc import Callable, Mapping
 from types import FrameType
-from typing import Any
 
 from sparseskin.launch.launchfile.spec import LaunchFile
 from sparseskin.nodes.clock import wall_offset_ns
 from sparseskin.nodes.errors import SparseskinError
+from sparseskin.nodes.process.control import Document
 
 from .controls import Controls
 from .fleet import EXIT_FAILED, START_S, Fleet
@@ -32,6 +33,7 @@ DRAIN_S = 5.0
 REST_S = 1.0
 """Time for what a graph that was joined and is gone has sent last, seconds."""
 LOOK_S = 0.5
+"""Time between two checks that a graph that was joined still runs, seconds."""
 QUIT_KEYS = ("q", "\x03")
 
 
@@ -55,7 +57,10 @@ class Launcher:
         self._joined = joined
         self._keys = dict(keys or {})
         self._look_at_s = 0.0
-        offset_ns = joined.offset_ns if joined else wall_offset_ns()
+        # One clock for both graphs: ages are of stamps of the one that is joined.
+        offset_ns = wall_offset_ns()
+        if joined is not None:
+            offset_ns = joined.offset_ns
         self._starting = RunningGraph(launch.name, os.getpid(), offset_ns, "", {})
         self._fleet = Fleet(
             launch, offset_ns, terminal.log, max_frames, joined, terminal.record
@@ -140,9 +145,9 @@ class Launcher:
                 "prevent it"
             )
 
-    def summary(self) -> dict[str, Any]:
+    def summary(self) -> Document:
         """Reports and counts of the nodes."""
-        merged: dict[str, Any] = {
+        merged: Document = {
             "launch": self._launch.name,
             "patches": {},
             "nodes": {},
@@ -186,15 +191,19 @@ class Launcher:
         """Join the nodes; False if one of them failed or was late."""
         fleet = self._fleet
         # Parts start in any order: however long another host takes, it is waited for.
-        limit_s = None if self._launch.elsewhere else START_S
+        limit_s: float | None = START_S
+        if self._launch.elsewhere:
+            limit_s = None
         done = self._until(lambda: all(node.endpoint for node in fleet), START_S)
         if done:
             for node in fleet:
                 fleet.connect(node)
             done = self._until(lambda: all(node.ready for node in fleet), limit_s)
         if done:
-            where = f" on {self._launch.host}" if self._launch.host else ""
-            self._terminal.log(f"[launch] ready{where}: {', '.join(fleet.nodes)}")
+            ready = "ready"
+            if self._launch.host:
+                ready += f" on {self._launch.host}"
+            self._terminal.log(f"[launch] {ready}: {', '.join(fleet.nodes)}")
         elif not self._exit_code and not self._interrupts:
             fleet.exit_code = EXIT_FAILED
             for line in self._late_lines():
@@ -203,8 +212,8 @@ class Launcher:
 
     def _late_lines(self) -> list[str]:
         # The others wait for those that have not started.
-        fleet = [n for n in self._fleet if not (n.endpoint or n.failed)] or self._fleet
-        lines = [waits_for(node, self._launch) for node in fleet]
+        nodes = [node for node in self._fleet if not (node.endpoint or node.failed)]
+        lines = [waits_for(node, self._launch) for node in nodes or self._fleet]
         return [line for line in lines if line]
 
     def _look_around(self) -> None:
@@ -241,11 +250,16 @@ class Launcher:
         self, done: Callable[[], bool], limit_s: float | None, draining: bool = False
     ) -> bool:
         """Serve until `done`; False if time, an interrupt (draining: two) or a failure ends it."""
-        deadline = None if limit_s is None else awake_s() + limit_s
+        deadline_s = math.inf
+        if limit_s is not None:
+            deadline_s = awake_s() + limit_s
         while not done():
-            if self._interrupts > draining or (self._exit_code and not draining):
+            # The first interrupt has begun the drain; one more ends it.
+            if self._interrupts > draining:
                 return False
-            if deadline is not None and awake_s() >= deadline:
+            if self._exit_code and not draining:
+                return False
+            if awake_s() >= deadline_s:
                 return False
             self._serve()
             if not draining:
@@ -273,7 +287,10 @@ class Launcher:
             return
         for node in self._fleet:
             # One that is still starting has no handler yet; it has nothing to drain either.
-            node.send_signal(signal.SIGINT if node.endpoint else signal.SIGTERM)
+            number = signal.SIGTERM
+            if node.endpoint:
+                number = signal.SIGINT
+            node.send_signal(number)
         if not self._until(self._all_drained, DRAIN_S, draining=True):
             late = late_at_end(self._fleet, self._launch.links)
             if late and self._interrupts <= 1:

@@ -16,7 +16,7 @@ from typing import Any
 
 from sparseskin.launch.launchfile.spec import NodeSpec
 from sparseskin.nodes.errors import SparseskinError
-from sparseskin.nodes.process.control import Connection
+from sparseskin.nodes.process.control import Connection, Document
 from sparseskin.nodes.process.tally import Tally
 
 NEW_S = 8.0
@@ -39,7 +39,8 @@ class LogLines:
     def __init__(self) -> None:
         self._rest = b""
         self._since_s = float("-inf")
-        self._left = self._n_cut = 0
+        self._left = 0
+        self._n_cut = 0
 
     def take(self, chunk: bytes, now_s: float, at_end: bool = False) -> list[str]:
         """The lines that a chunk completes; at the end of the pipe, also one without an end."""
@@ -54,10 +55,12 @@ class LogLines:
             self._n_cut = 0
 
         *lines, self._rest = (self._rest + chunk).split(b"\n")
+        # A library may print dots without an end.
         if at_end or len(self._rest) > MAX_LINE_BYTES:
             lines.append(self._rest)
             self._rest = b""
         for line in filter(None, lines):
+            # The line that crosses the limit is still whole.
             if self._left > 0:
                 self._left -= len(line) + LINE_BYTES
                 complete.append(line.decode(errors="replace"))
@@ -91,7 +94,7 @@ class NodePipes:
 
 
 def start_process(
-    nodes: Sequence[tuple[NodeSpec, dict[str, Any]]],
+    nodes: Sequence[tuple[NodeSpec, Document]],
 ) -> list["NodeProcess"]:
     """Start one process for one node or several, each with the configuration that
     `sparseskin.nodes.process.run_node` expects.
@@ -108,6 +111,7 @@ def start_process(
         with ExitStack() as inherited:
             pipes = [NodePipes(spec) for spec, _ in nodes]
             for each in pipes:
+                # This process must not hold them: their end is the end of the node.
                 inherited.callback(each.close_of_node)
             # Channel and log of the first node are those of the process.
             (channel, log), *channels = (each.of_node for each in pipes)
@@ -143,7 +147,7 @@ class NodeProcess:
     def __init__(
         self,
         spec: NodeSpec,
-        config: dict[str, Any],
+        config: Document,
         process: subprocess.Popen[bytes],
         pipes: NodePipes,
     ) -> None:
@@ -154,19 +158,22 @@ class NodeProcess:
         self._tally = pipes.tally
         self.endpoint = ""
         self.outputs = list(spec.outputs)
-        self.ready = self.ended = self.failed = False
+        self.ready = False
+        self.ended = False
+        self.failed = False
         self.compiled: tuple[int, int] | None = None
         """Numbers of loops that a node that starts has compiled, and of all; None: it does not."""
         self.lacks: list[str] = []
         self.heard: dict[str, bool] = {}
         self.clocks: dict[str, tuple[int, int]] = {}
-        self.line = self.refusal = ""
-        self.state: dict[str, Any] = {}
-        self.settings: dict[str, Any] = spec.settings.live_values()
+        self.line = ""
+        self.refusal = ""
+        self.state: Document = {}
+        self.settings: Document = spec.settings.live_values()
         self.heard_s = awake_s()
-        self.counted: dict[str, Any] = {}
-        self.earlier: dict[str, Any] = {}
-        self.report: dict[str, Any] = {}
+        self.counted: Document = {}
+        self.earlier: Document = {}
+        self.report: Document = {}
         self._said = ""
         self._said_s = 0.0
         self._lines = LogLines()
@@ -175,7 +182,8 @@ class NodeProcess:
         self.pipes = (pipes.channel, pipes.log)
         """Events and log lines, to be waited on."""
         self.closed_pipes: set[Any] = set()
-        self._channel.send({**config, "tally": [spec.outputs, self._tally.fd]})
+        tally = [spec.outputs, self._tally.fd]
+        self._channel.send({**config, "tally": tally})
 
     @property
     def pid(self) -> int:
@@ -192,21 +200,25 @@ class NodeProcess:
             return "starting"
         if awake_s() - self.heard_s > SILENT_S:
             return "not answering"
-        return "paused" if self.state.get("paused") else "running"
+        if self.state.get("paused"):
+            return "paused"
+        return "running"
 
     @property
     def said(self) -> str:
         """The last line of its log, while it is new."""
-        return self._said if awake_s() - self._said_s < NEW_S else ""
+        if awake_s() - self._said_s >= NEW_S:
+            return ""
+        return self._said
 
     @property
-    def counts(self) -> dict[str, Any]:
+    def counts(self) -> Document:
         """Counters of the node and of its `earlier` runs. Of a run that was killed, the numbers of
         messages published are exact; the others are those of its last heartbeat.
         """
         if not self.closed:
             self.counted["published"] = self._tally.counts()
-        counts: dict[str, Any] = _added(self.earlier, self.counted)
+        counts: Document = _added(self.earlier, self.counted)
         return counts
 
     @property
@@ -226,7 +238,7 @@ class NodeProcess:
         if self.exit_code() is None:
             self.process.send_signal(number)
 
-    def read(self) -> tuple[list[dict[str, Any]], list[str]]:
+    def read(self) -> tuple[list[Document], list[str]]:
         """Waiting (events, log lines): of each pipe a bounded part, for a flood has no end."""
         self._channel.flush()
         lines = self._channel.lines()
@@ -245,7 +257,9 @@ class NodeProcess:
 
         if lines:
             self.heard_s = awake_s()
-        events = [_event(line.decode(errors="replace")) for line in lines or () if line]
+        events = []
+        for line in filter(None, lines or ()):
+            events.append(_event(line.decode(errors="replace")))
         return events, log
 
     def close(self) -> None:
@@ -258,7 +272,7 @@ class NodeProcess:
         self._log.close()
 
 
-def _event(line: str) -> dict[str, Any]:
+def _event(line: str) -> Document:
     try:
         event = json.loads(line)
     except json.JSONDecodeError:

@@ -71,10 +71,14 @@ class Restarts:
         times_s = self._times_s
         if not policy.restarts:
             return ""
+
+        # A node that fails once an hour is restarted for ever; one that fails at once is not.
         while times_s and times_s[0] <= now_s - policy.restart_window_s:
             times_s.popleft()
         if len(times_s) >= policy.max_restarts:
             return f" ({len(times_s)} restarts within {policy.restart_window_s:g} s: given up)"
+
+        # Longer each time: a device that was unplugged may need a while.
         delay_s = policy.restart_delay_s * 2.0 ** len(times_s)
         times_s.append(now_s)
         self.total += 1

@@ -60,7 +60,10 @@ class RunLog:
     def write(self, line: str, now_s: float) -> None:
         """Write one line "[NAME] TEXT" into the file of that node, with date and time."""
         prefix = _NAMED.fullmatch(line)
-        name, text = prefix.groups() if prefix else (LAUNCHER, line)
+        name = LAUNCHER
+        text = line
+        if prefix is not None:
+            name, text = prefix.groups()
         # A run may go on over midnight: unlike the terminal, each line has its date.
         date = time.strftime("%Y-%m-%d", time.localtime(now_s))
         text = f"{date} {time_text(now_s)} {text}"
@@ -93,6 +96,7 @@ class RunLog:
 def _remove_old_runs(parent: Path, n_kept: int) -> None:
     # Another launcher may remove the same folders.
     with contextlib.suppress(OSError):
+        # A link is not followed: it may lead anywhere.
         runs = sorted(parent.iterdir(), key=lambda run: run.lstat().st_mtime)
         n_surplus = max(0, len(runs) - n_kept)
         for run in runs[:n_surplus]:

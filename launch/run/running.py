@@ -77,9 +77,10 @@ class RunningGraph:
 
     def writers(self) -> dict[str, str]:
         """Name of the node that writes each topic."""
-        return {
-            topic: name for name, node in self.nodes.items() for topic in node.outputs
-        }
+        writers: dict[str, str] = {}
+        for name, node in self.nodes.items():
+            writers |= dict.fromkeys(node.outputs, name)
+        return writers
 
 
 def runtime_folder() -> Path:
@@ -167,8 +168,15 @@ def _remove_strays(folder: Path) -> None:
     """Remove files of processes that are gone and have no note: a node that was still starting as
     its launcher was killed makes files after the note is gone.
     """
-    noted = {path.stem.rpartition("-")[2] for path in folder.glob("*.json")}
-    numbers = {path.name.partition(".")[0] for path in folder.iterdir()}
+    # A note is NAME-PID.json, any other file PID.WHATEVER.
+    noted = set()
+    for path in folder.glob("*.json"):
+        _, _, number = path.stem.rpartition("-")
+        noted.add(number)
+    numbers = set()
+    for path in folder.iterdir():
+        number, _, _ = path.name.partition(".")
+        numbers.add(number)
     for number in numbers - noted:
         if number.isdecimal() and not os.path.exists(f"/proc/{number}"):
             remove_files(int(number))
@@ -194,10 +202,14 @@ def remove_files(pid: int) -> bool:
         # A process that ends removes its files, too.
         with contextlib.suppress(FileNotFoundError):
             is_socket = path.suffix == ".sock"
-            is_kind = stat.S_ISSOCK if is_socket else stat.S_ISREG
             if not of_launcher.fullmatch(path.name):
                 continue
-            if not is_kind(path.lstat().st_mode):
+            # A folder, or a link of somebody's, is not ours either.
+            mode = path.lstat().st_mode
+            is_ours = stat.S_ISREG(mode)
+            if is_socket:
+                is_ours = stat.S_ISSOCK(mode)
+            if not is_ours:
                 continue
             if is_socket and is_served(path):
                 served = True
@@ -211,7 +223,9 @@ def _read_note(path: Path) -> RunningGraph:
     if not stat.S_ISREG(path.lstat().st_mode):
         raise ValueError(f"{path}: is no file")
     fields: dict[str, Any] = json.loads(path.read_bytes())
-    nodes = {name: RunningNode(**node) for name, node in fields.pop("nodes").items()}
+    nodes = {}
+    for name, node in fields.pop("nodes").items():
+        nodes[name] = RunningNode(**node)
     graph = RunningGraph(**fields, nodes=nodes)
     if graph.label != path.stem or not isinstance(graph.pid, int):
         raise ValueError(f"{path}: is no note")
@@ -249,11 +263,19 @@ def choose_graph(name: str | None, option: str = "--graph") -> RunningGraph:
         raise GraphError(f"{option} {name}: no such graph runs{hint}".strip())
     if len(matching) > 1:
         choices = ", ".join(graph.label for graph in matching)
-        which = f" with {option}" if option else ""
-        raise GraphError(f"several graphs run; choose one{which}: {choices}")
+        advice = "choose one"
+        if option:
+            advice += f" with {option}"
+        raise GraphError(f"several graphs run; {advice}: {choices}")
     return matching[0]
 
 
 def _named(graphs: list[RunningGraph], name: str | None) -> list[RunningGraph]:
     """Those of some graphs that a name can mean; None: all."""
-    return [g for g in graphs if name in (None, g.name, g.label, str(g.pid))]
+    if name is None:
+        return graphs
+    matching = []
+    for graph in graphs:
+        if name in (graph.name, graph.label, str(graph.pid)):
+            matching.append(graph)
+    return matching

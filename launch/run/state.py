@@ -3,19 +3,16 @@
 import os
 import socket
 from collections.abc import Callable, Iterable
-from typing import Any
 
 from sparseskin.launch.launchfile.spec import LIVE_RECORDER, LaunchFile
 from sparseskin.nodes.node_host import is_latched
-from sparseskin.nodes.process.control import COUNTED
+from sparseskin.nodes.process.control import COUNTED, Document
 
 from .fleet import Fleet
 from .process import NodeProcess
 
 
-def graph_state(
-    launch: LaunchFile, fleet: Fleet, recording: str | None
-) -> dict[str, Any]:
+def graph_state(launch: LaunchFile, fleet: Fleet, recording: str | None) -> Document:
     """The state of a graph, as it is published to all that watch it; `recording` is the file that
     is recorded on request, if any.
     """
@@ -29,7 +26,7 @@ def graph_state(
 
 def graph_description(
     launch: LaunchFile, fleet: Fleet, recording: str | None, node: str | None
-) -> dict[str, Any]:
+) -> Document:
     """The description of a graph, for a program that asks once: with the settings of `node`, each
     with its type, range and meaning.
     """
@@ -42,9 +39,7 @@ def graph_description(
     }
 
 
-def _nodes(
-    fleet: Fleet, further: Callable[[NodeProcess], dict[str, Any]]
-) -> list[dict[str, Any]]:
+def _nodes(fleet: Fleet, further: Callable[[NodeProcess], Document]) -> list[Document]:
     """Each node, without live recorders that have ended, and the fields that `further` returns."""
     nodes = []
     for node in fleet:
@@ -65,15 +60,19 @@ def _nodes(
     return nodes
 
 
-def _in_short(node: NodeProcess) -> dict[str, Any]:
+def _in_short(node: NodeProcess) -> Document:
     cls = node.spec.cls
     settings = node.spec.settings
     counts = node.counts
+    log_line = ""
+    if not cls.watches:
+        # The page itself shows what a monitor would say.
+        log_line = node.said
     return {
         "patch": getattr(settings, "patch", None),
         "patches": list(getattr(settings, "patches", ())),
         "refused": sum(counts.get("refused", {}).values()),
-        "said": node.said if not cls.watches else "",
+        "said": log_line,
         "compiled": node.compiled,
         "lost": sum(counts.get("lost", {}).values()),
         "settings": node.settings,
@@ -81,21 +80,22 @@ def _in_short(node: NodeProcess) -> dict[str, Any]:
     }
 
 
-def _in_full(node: NodeProcess, with_settings: bool) -> dict[str, Any]:
+def _in_full(node: NodeProcess, with_settings: bool) -> Document:
     counts = node.counts
 
-    def counted(topic: str, counter_of: dict[str, str]) -> dict[str, Any]:
-        fields: dict[str, Any] = {"topic": topic, "latched": is_latched(topic)}
+    def counted(topic: str, counter_of: dict[str, str]) -> Document:
+        fields: Document = {"topic": topic, "latched": is_latched(topic)}
         for name, counter in counter_of.items():
             fields[name] = counts.get(counter, {}).get(topic, 0)
         return fields
 
     of_input = {counter: counter for counter in COUNTED}
     of_output = {"sent": "published"}
-    described: dict[str, Any] = {
+    transport, _, _ = node.endpoint.partition(":")
+    described: Document = {
         "pid": node.pid,
         "companions": node.config["companions"],
-        "transport": node.endpoint.partition(":")[0],
+        "transport": transport,
         "refused": counts.get("refused", {}),
         "inputs": [counted(topic, of_input) for topic in node.config["inputs"]],
         "outputs": [counted(topic, of_output) for topic in node.outputs],
@@ -105,9 +105,10 @@ def _in_full(node: NodeProcess, with_settings: bool) -> dict[str, Any]:
     return described
 
 
-def _settings(node: NodeProcess) -> list[dict[str, Any]]:
+def _settings(node: NodeProcess) -> list[Document]:
     """Settings of a node as they are described, with their values, stated and in force."""
-    values = {**vars(node.spec.settings), **node.settings}
+    values = vars(node.spec.settings) | node.settings
+    # Settings that were changed while it runs are those of the node, not of the file.
     settings = []
     for entry in node.spec.cls.Settings.described():
         key = entry["key"]
@@ -121,17 +122,18 @@ def _settings(node: NodeProcess) -> list[dict[str, Any]]:
 
 def hosts_state(
     launch: LaunchFile, nodes: Iterable[NodeProcess]
-) -> dict[str, dict[str, Any]]:
+) -> dict[str, Document]:
     """State of the other hosts of a graph by name, as far as the nodes of this one know: heard
     (None where no node here reads from one there), silent (names of the nodes that should send and
     do not), clock_offset_ms and clock_uncertainty_ms (None while unknown; the clock there is ahead
     by the offset, within the uncertainty).
     """
-    states: dict[str, dict[str, Any]] = {}
+    states: dict[str, Document] = {}
     if not launch.host:
         return states
     for name in launch.hosts:
         if name != launch.host:
+            # Nothing is known until a node has read from there.
             states[name] = {
                 "heard": None,
                 "silent": [],
@@ -147,8 +149,10 @@ def hosts_state(
             state["heard"] = not state["silent"]
         # Of several nodes that read from a host, the most certain one counts.
         for host, (offset_ns, uncertainty_ns) in node.clocks.items():
-            uncertainty_ms = states[host]["clock_uncertainty_ms"]
-            if uncertainty_ms is None or uncertainty_ns / 1e6 < uncertainty_ms:
-                states[host]["clock_offset_ms"] = offset_ns / 1e6
-                states[host]["clock_uncertainty_ms"] = uncertainty_ns / 1e6
+            state = states[host]
+            uncertainty_ms = uncertainty_ns / 1e6
+            least_ms = state["clock_uncertainty_ms"]
+            if least_ms is None or uncertainty_ms < least_ms:
+                state["clock_offset_ms"] = offset_ns / 1e6
+                state["clock_uncertainty_ms"] = uncertainty_ms
     return states

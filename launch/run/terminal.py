@@ -89,7 +89,10 @@ class Terminal:
 
     def pressed(self) -> list[str]:
         """Keys that were pressed since the last call: characters, or "right", "up", "down"."""
-        if self._keys_fd is None or not select.select([self._keys_fd], [], [], 0)[0]:
+        if self._keys_fd is None:
+            return []
+        ready, _, _ = select.select([self._keys_fd], [], [], 0)
+        if not ready:
             return []
         text = os.read(self._keys_fd, 64).decode(errors="replace")
         keys = re.findall(r"\x1b\[[A-D]|.", text, re.DOTALL)
@@ -97,7 +100,10 @@ class Terminal:
 
     def _erase(self) -> None:
         if self._live and self._status:
-            up = f"\x1b[{self._n_drawn - 1}A" if self._n_drawn > 1 else ""
+            # Back to the first line of the status; all from there on goes.
+            up = ""
+            if self._n_drawn > 1:
+                up = f"\x1b[{self._n_drawn - 1}A"
             self._write(f"\r{up}\x1b[J")
 
     def _draw(self) -> None:

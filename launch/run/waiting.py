@@ -28,10 +28,12 @@ def waits_for(node: NodeProcess, launch: LaunchFile) -> str:
         return f"{node.name} has not answered yet"
     hosts: dict[str, list[str]] = {}
     for reader in node.lacks:
-        spec = launch.elsewhere.get(reader)
-        place = f" on {spec.host}" if spec else ""
+        place = ""
+        if reader in launch.elsewhere:
+            place = f" on {launch.elsewhere[reader].host}"
         hosts.setdefault(place, []).append(reader)
-    readers = ", ".join(", ".join(names) + place for place, names in hosts.items())
+    of_hosts = [", ".join(names) + place for place, names in hosts.items()]
+    readers = ", ".join(of_hosts)
     return f"{node.name} waits for a subscription from {readers}"
 
 
@@ -43,11 +45,14 @@ def _waits_for_readers(node: NodeProcess, launch: LaunchFile) -> str:
         return ""
     n_readers = settings.wait or int(settings.lockstep)
     published = node.counts.get("published", {})
+
     # Latched topics are sent before it waits.
     begun = any(n for topic, n in published.items() if not is_latched(topic))
     if not n_readers or begun or node.state.get("paused", True):
         return ""
-    readers = "a reader" if n_readers == 1 else f"{n_readers} readers"
+    readers = f"{n_readers} readers"
+    if n_readers == 1:
+        readers = "a reader"
     return (
         f"{node.name} waits for {readers}; from another terminal: "
         f"sparseskin monitor --graph {launch.name}, or sparseskin record --graph {launch.name}"
@@ -58,6 +63,7 @@ def late_at_end(nodes: Iterable[NodeProcess], links: Sequence[Link]) -> list[str
     """The nodes that have not ended, each with those that it waits for: an end comes along the
     links, from the sources on.
     """
+    # One without a late writer is the cause: it holds up the others.
     late = [node.name for node in nodes if not node.ended]
     lines = []
     for name in late:

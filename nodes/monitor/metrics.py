@@ -26,6 +26,7 @@ from sparseskin.messages.quantised import Quantised
 from sparseskin.nodes.clock import SAME_CLOCK, ClockEstimate
 from sparseskin.nodes.node_host import TopicCount
 from sparseskin.nodes.numerics.arrays import Floats
+from sparseskin.nodes.process.control import Document
 from sparseskin.nodes.touch import MeasuredNoise, in_contact
 
 from .statistics import Extent, Quantiles
@@ -72,11 +73,14 @@ class Quality:
         if is_contact:
             self.contact.add(value)
 
-    def summary(self) -> dict[str, Any]:
-        return {"all": self.every.summary(), "contact": self.contact.summary()}
+    def summary(self) -> Document:
+        return {
+            "all": self.every.summary(),
+            "contact": self.contact.summary(),
+        }
 
 
-def _trust_summary(trusted: Extent) -> dict[str, Any] | None:
+def _trust_summary(trusted: Extent) -> Document | None:
     """Number of frames, of those not to be trusted, and the share of the others; None of none."""
     if not trusted.count:
         return None
@@ -165,7 +169,7 @@ class PatchMetrics:
         self.skin: SkinState | None = None
         self.phi: PhiState | None = None
         self.solver: SolverState | None = None
-        self.changes: list[dict[str, Any]] = []
+        self.changes: list[Document] = []
 
         self.noisy = Quality()
         self.reconstruction = Quality()
@@ -231,8 +235,9 @@ class PatchMetrics:
             case SkinState():
                 self._note_changes(self.skin, message, "sigma_mid")
                 self.skin = message
-                sensed = Taxels if message.has_taxels else Measurements
-                self._sensed_schema = sensed.schema
+                self._sensed_schema = Measurements.schema
+                if message.has_taxels:
+                    self._sensed_schema = Taxels.schema
             case PhiState():
                 self._note_changes(self.phi, message, "kind", "m", "rows")
                 self.phi = message
@@ -261,7 +266,10 @@ class PatchMetrics:
     def _add_measurements(self, message: Measurements) -> None:
         self.bytes_out += size_bytes(message)
         y = message.y
-        bits = y.bits if isinstance(y, Quantised) else 8 * y.itemsize
+        bits = 8 * y.itemsize
+        if isinstance(y, Quantised):
+            # Its numbers are packed: they share bytes.
+            bits = y.bits
         self._note_change("bits", self.bits, bits)
         self.bits = bits
 
@@ -299,13 +307,16 @@ class PatchMetrics:
         n_quiet = self._quiet.add(message.quiet)
         previous = self._previous
         self._previous = message
+
         if not n_quiet or previous is None or self.skin is None:
             return
-        between = [
-            ns for ns in self._pending if previous.stamp_ns < ns < message.stamp_ns
-        ]
-        # Of a long silence the first ones were dropped.
-        self.unpaired -= min(self.unpaired, max(0, n_quiet - len(between)))
+        begin_ns = previous.stamp_ns
+        end_ns = message.stamp_ns
+        between = [ns for ns in self._pending if begin_ns < ns < end_ns]
+
+        # Of a long silence the first ones were dropped, and counted as unpaired.
+        n_dropped = max(0, n_quiet - len(between))
+        self.unpaired -= min(self.unpaired, n_dropped)
         # Some were lost, and nobody knows which.
         if len(between) > n_quiet:
             return
@@ -315,8 +326,10 @@ class PatchMetrics:
 
     def _latency_ns(self, message: Reconstruction) -> int | None:
         """Time from acquisition to reconstruction; None where it is unknown."""
-        acquired = self._clock_of(topic_of(message.patch, self._sensed_schema))
-        reconstructed = self._clock_of(topic_of(message.patch, message.schema))
+        sensed_topic = topic_of(message.patch, self._sensed_schema)
+        answered_topic = topic_of(message.patch, message.schema)
+        acquired = self._clock_of(sensed_topic)
+        reconstructed = self._clock_of(answered_topic)
         if acquired is None or reconstructed is None:
             return None
         if message.done_ns == message.stamp_ns:
@@ -330,22 +343,29 @@ class PatchMetrics:
             )
         # The stamps are by two clocks, where the nodes are on two hosts.
         ahead_ns = reconstructed.offset_ns - acquired.offset_ns
-        return message.done_ns - message.stamp_ns - ahead_ns
+        apparent_ns = message.done_ns - message.stamp_ns
+        return apparent_ns - ahead_ns
 
     def _note_changes(
         self, before: Message | None, after: Message, *names: str
     ) -> None:
         for name in names:
-            self._note_change(name, getattr(before, name, None), getattr(after, name))
+            old = getattr(before, name, None)
+            new = getattr(after, name)
+            self._note_change(name, old, new)
 
     def _note_change(self, name: str, old: Any, new: Any) -> None:
         """Note a setting that changes after the first frame, but none that is or becomes empty."""
         if not self.reconstructed or len(self.changes) >= MAX_CHANGES:
             return
         if old != new and old not in (None, "") and new != "":
-            self.changes.append(
-                {"frame": self.reconstructed, "setting": name, "from": old, "to": new}
-            )
+            change = {
+                "frame": self.reconstructed,
+                "setting": name,
+                "from": old,
+                "to": new,
+            }
+            self.changes.append(change)
 
     def end(self, schema: str, n_messages: int) -> None:
         """End a topic after n_messages: the publisher's own count is the right one."""
@@ -404,16 +424,22 @@ class PatchMetrics:
         forces: Floats = reconstruction.forces[0][cells]
         taxels = _forces_in(cells, frame.taxels)
         truth = _forces_in(cells, frame.truth)
-        reference = taxels if truth is None else truth
+        reference = truth
+        if truth is None:
+            reference = taxels
 
         # Without a reference, contact is judged by the reconstruction.
-        judged = forces if reference is None else reference
+        judged = reference
+        if judged is None:
+            judged = forces
         # A true force is without noise.
         noise = 0.0
         if truth is None:
             noise = skin.sigma_end or self._noise.update(judged)
         is_contact = in_contact(judged, skin.f_max, noise)
-        self.load = float(forces.sum()) if is_contact else 0.0
+        self.load = 0.0
+        if is_contact:
+            self.load = float(forces.sum())
         self._add_trust(reconstruction, is_contact)
 
         if reference is None or taxels is None:
@@ -426,7 +452,8 @@ class PatchMetrics:
         frame.psnr_db = psnr_db(error, skin.f_max)
         self.reconstruction.add(frame.psnr_db, is_contact)
         if is_contact:
-            self.relative_error.add(math.sqrt(_energy(error) / _energy(reference)))
+            square = _energy(error) / _energy(reference)
+            self.relative_error.add(math.sqrt(square))
 
     def _add_trust(self, reconstruction: Reconstruction, is_contact: bool) -> None:
         estimate = reconstruction.error[0]
@@ -438,7 +465,7 @@ class PatchMetrics:
             reason = reconstruction.reason[0] or Reason.ERROR
             self.doubts[str(reason)] += 1
 
-    def summary(self) -> dict[str, Any]:
+    def summary(self) -> Document:
         """The patch's part of the summary; unknown figures are None."""
         phi = self.phi
         # Frames that a late monitor read in part are not counted.
@@ -477,10 +504,11 @@ class PatchMetrics:
         if phi is not None:
             summary["ratio"] = phi.n / phi.m
         if phi is not None and self.bits is not None:
-            summary["ratio_bits"] = FLOAT_BITS * phi.n / (phi.m * self.bits)
+            n_bits = phi.m * self.bits
+            summary["ratio_bits"] = FLOAT_BITS * phi.n / n_bits
         return summary
 
-    def _accuracy_summary(self) -> dict[str, Any]:
+    def _accuracy_summary(self) -> Document:
         reference = None
         if self.skin is not None and self.skin.has_truth:
             reference = "truth"
@@ -522,6 +550,6 @@ def _forces_in(cells: Any, message: Taxels | Truth | None) -> Floats | None:
     return forces
 
 
-def _fields(state: Message | None, *names: str) -> dict[str, Any]:
+def _fields(state: Message | None, *names: str) -> Document:
     """Fields of a state message; None while it has not arrived."""
     return {name: getattr(state, name, None) for name in names}

@@ -30,6 +30,7 @@ from sparseskin.nodes.clock import ClockEstimate
 from sparseskin.nodes.errors import RefusedError, SettingsError
 from sparseskin.nodes.lookup import did_you_mean
 from sparseskin.nodes.node import Context, Node
+from sparseskin.nodes.process.control import Document
 from sparseskin.nodes.settings import (
     Settings,
     check_patch,
@@ -58,11 +59,11 @@ class MonitorSettings(Settings):
     """Settings of the monitor node."""
 
     patches: tuple[str, ...] = setting(("skin",), "names of the patches to watch")
-    batches: dict[str, Any] | None = setting(
+    batches: Document | None = setting(
         None,
         "a table of the batches to watch: the names of the patches of each, by its name",
     )
-    poses: dict[str, Any] | None = setting(
+    poses: Document | None = setting(
         None,
         "a table of the pose of each patch on the page, by its name: x, y, z of its middle in mm, "
         "roll, pitch, yaw in degrees",
@@ -104,7 +105,9 @@ class MonitorSettings(Settings):
     @property
     def groups(self) -> dict[str, tuple[str, ...]]:
         """Names of the patches of each batch, by its name; of a single patch its own."""
-        groups: dict[str, tuple[str, ...]] = {name: (name,) for name in self.patches}
+        groups: dict[str, tuple[str, ...]] = {}
+        for name in self.patches:
+            groups[name] = (name,)
         for batch, names in (self.batches or {}).items():
             groups[batch] = tuple(names)
         return groups
@@ -129,14 +132,16 @@ class Monitor(Node[MonitorSettings]):
     def __init__(self, settings: MonitorSettings, context: Context) -> None:
         super().__init__(settings, context)
         # A monitor that joins late states from when its figures are.
-        since_ns = context.clock.now_ns() if context.late else None
+        since_ns = None
+        if context.late:
+            since_ns = context.clock.now_ns()
         self._groups = settings.groups
         self._patches: dict[str, PatchMetrics] = {}
         for group, names in self._groups.items():
             clock_of = partial(_clock_of, context, group)
             for name in names:
                 self._patches[name] = PatchMetrics(since_ns, clock_of)
-        self._last_forces: dict[str, Any] = {}
+        self._last_forces: Document = {}
         self._feed: Feed | None = None
         self._page: PageServer | None = None
         self._opener: Path | None = None
@@ -159,7 +164,7 @@ class Monitor(Node[MonitorSettings]):
         report: Mapping[str, Any],
         counts: Iterable[Any],
         again: bool,
-    ) -> dict[str, Any]:
+    ) -> Document:
         # Counts of nodes are by topic, those of a batch being of all its patches.
         counts_of = {}
         for of_node in counts:
@@ -178,7 +183,9 @@ class Monitor(Node[MonitorSettings]):
 
     def start(self) -> Iterable[Message]:
         # Without a launcher nobody answers a page: there is none then.
-        ask = self.context.ask if self.settings.page else None
+        ask = None
+        if self.settings.page:
+            ask = self.context.ask
         if ask is None and not self.settings.screen:
             return ()
 
@@ -191,11 +198,13 @@ class Monitor(Node[MonitorSettings]):
             self._serve_page(self._feed, ask)
         return ()
 
-    def _serve_page(self, feed: Feed, ask: Callable[[dict[str, Any]], None]) -> None:
+    def _serve_page(self, feed: Feed, ask: Callable[[Document], None]) -> None:
         from .live.server import PageServer
 
         port = self.settings.port
-        token = self.context.page_token if self.settings.token else ""
+        token = ""
+        if self.settings.token:
+            token = self.context.page_token
         self._page = PageServer(feed, self._notices, port, ask, token)
         line = f"live page: {self._page.url}"
         if port not in (0, self._page.port):
@@ -212,7 +221,8 @@ class Monitor(Node[MonitorSettings]):
                 self._add(part)
             return ()
         # A state of a batch is one of each of its patches.
-        for name in self._groups.get(message.patch, (message.patch,)):
+        names = self._groups.get(message.patch, (message.patch,))
+        for name in names:
             if name != message.patch:
                 message = replace(message, patch=name)
             self._add(message)
@@ -257,7 +267,7 @@ class Monitor(Node[MonitorSettings]):
             self._feed.update(**{name: value})
         return ""
 
-    def close(self, counts: dict[str, Any]) -> None:
+    def close(self, counts: Document) -> None:
         if self._feed is not None:
             self._feed.update(summaries=self.report()["patches"])
         if self._page is not None:
@@ -284,16 +294,19 @@ class Monitor(Node[MonitorSettings]):
             parts = [{name: metrics} for name, metrics in self._patches.items()]
         lines = []
         for patches in parts:
+            # Frames since the last line, of a patch in the mean.
             n_new = 0
             for name, metrics in patches.items():
-                n_new += metrics.reconstructed - self._status_frames[name]
+                n_new += metrics.reconstructed
+                n_new -= self._status_frames[name]
             rate_hz = n_new / seconds / len(patches)
             lines.append(status_line(patches, rate_hz))
+
         for name, metrics in self._patches.items():
             self._status_frames[name] = metrics.reconstructed
         return "\n".join(lines)
 
-    def report(self) -> dict[str, Any]:
+    def report(self) -> Document:
         summaries = {name: patch.summary() for name, patch in self._patches.items()}
         return {"patches": summaries}
 
@@ -310,15 +323,20 @@ class Monitor(Node[MonitorSettings]):
         # It is there already if the monitor has been killed and started again.
         self._opener.unlink(missing_ok=True)
         flags = os.O_WRONLY | os.O_CREAT | os.O_EXCL
-        with os.fdopen(os.open(self._opener, flags, 0o600), "w") as file:
+        opener = os.open(self._opener, flags, 0o600)
+        with os.fdopen(opener, "w") as file:
             file.write(f'<meta http-equiv="refresh" content="0; url={url}">\n')
         return webbrowser.open(self._opener.as_uri())
 
 
 def check_pose(place: str, pose: object) -> None:
     """Raise SettingsError unless this is x, y, z in mm and three angles in degrees."""
-    values = list(pose) if isinstance(pose, list | tuple) else []
-    if len(values) != 6 or not all(is_real(value, -1e6, 1e6) for value in values):
+    values: list[Any] = []
+    if isinstance(pose, list | tuple):
+        values = list(pose)
+    # Beyond a kilometre, or many turns, it is rather a mistake than a place on a robot.
+    are_numbers = all(is_real(value, -1e6, 1e6) for value in values)
+    if len(values) != 6 or not are_numbers:
         expected = "expected [x, y, z, roll, pitch, yaw], in mm and degrees"
         raise SettingsError(f"{place}: {expected}, got {pose!r:.80}")
 
@@ -340,15 +358,22 @@ def _published_frames(
     measured = topic_of(group, Measurements.schema)
     answered = topic_of(group, Reconstruction.schema)
     # A compressor outside the graph publishes no taxels.
-    sensed = taxels if taxels in counts_of else measured
-    needed = {sensed, answered} if again else {sensed}
+    sensed = measured
+    if taxels in counts_of:
+        sensed = taxels
+    needed = {sensed}
+    if again:
+        # The monitor that was started again has counted only its own part of the answers.
+        needed.add(answered)
     if not needed <= counts_of.keys():
         return frames
 
-    published = {**frames, "sensed": counts_of[sensed]["published"][sensed]}
+    published = dict(frames)
+    published["sensed"] = counts_of[sensed]["published"][sensed]
     if again:
-        published["reconstructed"] = counts_of[answered]["published"][answered]
-        published["skipped"] = counts_of[answered]["skipped"].get(measured, 0)
+        counts = counts_of[answered]
+        published["reconstructed"] = counts["published"][answered]
+        published["skipped"] = counts["skipped"].get(measured, 0)
     n_answered = published["reconstructed"] + published["skipped"]
     if sensed == taxels:
         n_answered += published.get("quiet", 0)
@@ -367,4 +392,5 @@ def _topics(
 
 def _clock_of(context: Context, group: str, topic: str) -> ClockEstimate | None:
     """Clock of the publisher of a topic of a batch, or patch, by that of one of its patches."""
-    return context.clock_of(topic_of(group, split_topic(topic)[1]))
+    _, schema = split_topic(topic)
+    return context.clock_of(topic_of(group, schema))

@@ -1,7 +1,9 @@
 """Statistics of unbounded streams in bounded memory: extents, quantiles, the last minute."""
 
 import math
+from collections import deque
 from dataclasses import dataclass
+from itertools import islice
 
 import numpy as np
 import numpy.typing as npt
@@ -10,6 +12,7 @@ SPAN_S = 60.0
 """Time that the charts of a page show."""
 COLUMNS = ("time_s", "psnr_noisy_db", "psnr_db", "latency_ms", "solve_ms", "lost")
 MIN_CAPACITY = 2048
+"""Rows that stay however old they are: a chart of a slow stream is not to be nearly empty."""
 MAX_CAPACITY = 1 << 17
 """60 s at 2.2 kHz; of a faster stream less than 60 s is kept."""
 
@@ -37,7 +40,11 @@ class Extent:
         """{mean, min, max}; None without numbers."""
         if not self.count:
             return None
-        return {"mean": self.mean, "min": self.low, "max": self.high}
+        return {
+            "mean": self.mean,
+            "min": self.low,
+            "max": self.high,
+        }
 
 
 class Quantiles:
@@ -52,6 +59,7 @@ class Quantiles:
     _WIDTH = math.log(1.005)
 
     def __init__(self) -> None:
+        # 4155 bins are 33 kB: every patch has two histograms.
         span = math.log(self._HIGH_NS / self._LOW_NS)
         n_bins = math.ceil(span / self._WIDTH)
         self._bins = np.zeros(n_bins, np.int64)
@@ -59,23 +67,29 @@ class Quantiles:
     def add(self, duration_ns: float) -> None:
         # Shorter durations count in the first bin, longer ones in the last.
         bounded_ns = max(duration_ns, self._LOW_NS)
-        k = int(math.log(bounded_ns / self._LOW_NS) / self._WIDTH)
+        n_widths = math.log(bounded_ns / self._LOW_NS) / self._WIDTH
         k_last = len(self._bins) - 1
-        self._bins[min(k, k_last)] += 1
+        k = min(int(n_widths), k_last)
+        self._bins[k] += 1
 
     def quantile_ms(self, q: float) -> float:
         """The smallest duration in ms that at least the fraction q of all do not exceed."""
         cumulative = np.cumsum(self._bins)
-        k = int(np.searchsorted(cumulative, q * cumulative[-1], side="left"))
+        rank = q * cumulative[-1]
+        k = int(np.searchsorted(cumulative, rank, side="left"))
         # The middle of the bin, on the logarithmic scale.
-        middle_ns = self._LOW_NS * math.exp((k + 0.5) * self._WIDTH)
+        n_widths = k + 0.5
+        middle_ns = self._LOW_NS * math.exp(n_widths * self._WIDTH)
         return middle_ns / 1e6
 
     def summary(self) -> dict[str, float] | None:
         """{p50, p99} in ms; None without durations."""
         if not self._bins.any():
             return None
-        return {"p50": self.quantile_ms(0.5), "p99": self.quantile_ms(0.99)}
+        return {
+            "p50": self.quantile_ms(0.5),
+            "p99": self.quantile_ms(0.99),
+        }
 
 
 class History:
@@ -86,42 +100,25 @@ class History:
     def __init__(self, columns: tuple[str, ...] = COLUMNS) -> None:
         self.columns = columns
         self.n = 0
-        #: Number of the first row that is kept.
-        self._first = 0
-        #: Row number k is at k modulo the capacity.
-        self._rows = np.empty((MIN_CAPACITY, len(columns)))
+        self._rows: deque[tuple[float, ...]] = deque(maxlen=MAX_CAPACITY)
 
     def add(self, *row: float) -> None:
         """Add one row with the values of the columns; time must not decrease."""
-        while self._first_is_over(row[0]):
-            self._first += 1
-        if self.n - self._first == len(self._rows):
-            self._double_capacity()
-        self._rows[self.n % len(self._rows)] = row
+        rows = self._rows
+        # The first row goes once those behind it span enough time; of a slow stream old ones stay.
+        begin_s = row[0] - SPAN_S
+        while len(rows) >= MIN_CAPACITY and rows[1][0] <= begin_s:
+            rows.popleft()
+        rows.append(row)
         self.n += 1
-
-    def _first_is_over(self, time_s: float) -> bool:
-        """True if the first row can go: the rows behind it span enough time, or are too many."""
-        # Rows are counted first: of a slow stream old ones stay.
-        n_rows = self.n - self._first
-        if n_rows < MIN_CAPACITY:
-            return False
-        if n_rows >= MAX_CAPACITY:
-            return True
-        second_s = self._rows[(self._first + 1) % len(self._rows), 0]
-        return bool(time_s - second_s >= SPAN_S)
-
-    def _double_capacity(self) -> None:
-        n_first, rows = self.since(0)
-        capacity = 2 * len(self._rows)
-        self._rows = np.empty((capacity, len(self.columns)))
-        # Each row moves to its place modulo the new capacity.
-        self._rows[np.arange(n_first, self.n) % capacity] = rows
 
     def since(self, n: int) -> tuple[int, npt.NDArray[np.float64]]:
         """The rows from number `n`, or a later one if that is removed: the number of the first, and
         a copy of them, float64 (k, n_columns).
         """
-        n_first = max(n, self._first)
-        places = np.arange(n_first, self.n) % len(self._rows)
-        return n_first, self._rows[places]
+        n_first = max(n, self.n - len(self._rows))
+        n_rows = max(0, self.n - n_first)
+        # From the end: a page asks for the newest few of many.
+        newest = list(islice(reversed(self._rows), n_rows))
+        table = np.array(newest[::-1], dtype=np.float64)
+        return n_first, table.reshape(n_rows, len(self.columns))

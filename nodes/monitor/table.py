@@ -12,6 +12,8 @@ from sparseskin.messages.text import printable
 
 from .metrics import FLOAT_BITS, PatchMetrics
 
+Summary = Mapping[str, Any]
+"""The summary of a patch, as `PatchMetrics.summary` returns it, or a part of it."""
 NONE = "-"
 WIDTH = 78
 LABELS = {"m": "M", "kind": "phi", "sigma_mid": "noise sigma"}
@@ -47,11 +49,16 @@ def status_line(patches: Mapping[str, PatchMetrics], rate_hz: float) -> str:
     if len(metrics) > 1:
         parts.append(f"idle {sum(m.idle for m in metrics)}")
     noisy_db = [m.noisy.contact.mean for m in metrics if m.noisy.contact.count]
-    parts += _accuracy(metrics, "" if noisy_db else " to taxels")
+    to_what = " to taxels"
+    if noisy_db:
+        # The truth is known: PSNR is to it.
+        to_what = ""
+    parts += _accuracy(metrics, to_what)
     if not is_late:
         parts += latency
     if noisy_db:
-        parts.append(f"taxels {sum(noisy_db) / len(noisy_db):.1f} dB")
+        mean_db = sum(noisy_db) / len(noisy_db)
+        parts.append(f"taxels {mean_db:.1f} dB")
     since = _since(metrics[0].since_ns).strip()
     if since:
         parts.append(since)
@@ -69,16 +76,17 @@ def _progress(patches: Mapping[str, PatchMetrics], rate_hz: float) -> str:
     if len(metrics) > 1:
         name = f"{len(metrics)} patches"
         # One rate stands for all: patches of a graph are sensed together.
-        asked_hz = max(
-            (m.skin.rate_hz for m in metrics if m.skin is not None), default=0.0
-        )
+        rates_hz = [m.skin.rate_hz for m in metrics if m.skin is not None]
+        asked_hz = max(rates_hz, default=0.0)
         if asked_hz:
             rate = f"{rate_hz:.0f} of {asked_hz:g} Hz"
-        rate += f", skipped {max(m.skipped for m in metrics)}"
+        n_skipped = max(m.skipped for m in metrics)
+        rate += f", skipped {n_skipped}"
     text = f"{name}: {n_frames} frames, {rate}, lost {n_lost}"
 
     # No frame is lost in a queue, but it ages there.
-    age_ms = max((m.latency_ns or 0) for m in metrics) / 1e6
+    ages_ns = [m.latency_ns or 0 for m in metrics]
+    age_ms = max(ages_ns) / 1e6
     if age_ms >= QUEUED_MS:
         text += f", newest {age_ms / 1e3:.1f} s old"
     return text
@@ -86,15 +94,21 @@ def _progress(patches: Mapping[str, PatchMetrics], rate_hz: float) -> str:
 
 def _accuracy(patches: Sequence[PatchMetrics], to_what: str) -> Iterator[str]:
     """Mean PSNR of contact frames and the share that the solver trusts, where there are any."""
-    psnr_db = [
-        m.reconstruction.contact.mean for m in patches if m.reconstruction.contact.count
-    ]
+    psnr_db = []
+    for metrics in patches:
+        in_contact = metrics.reconstruction.contact
+        if in_contact.count:
+            psnr_db.append(in_contact.mean)
     if psnr_db:
-        yield f"PSNR{to_what} {sum(psnr_db) / len(psnr_db):.1f} dB"
+        mean_db = sum(psnr_db) / len(psnr_db)
+        yield f"PSNR{to_what} {mean_db:.1f} dB"
+
     trust = [m.trust.contact for m in patches if m.trust.contact.count]
     if trust:
+        # A trusted frame counts 1, any other 0.
         n_trusted = sum(extent.total for extent in trust)
-        share = n_trusted / sum(extent.count for extent in trust)
+        n_frames = sum(extent.count for extent in trust)
+        share = n_trusted / n_frames
         yield f"trusted {share_of(share)}"
 
 
@@ -105,7 +119,8 @@ def _contacts(patches: Sequence[PatchMetrics]) -> list[str]:
     loads = [m.load for m in patches if m.load is not None]
     if contacts and units:
         n_contacts = sum(c.id.size for c in contacts)
-        total = sum(float(c.total.sum()) for c in contacts)
+        totals = [float(c.total.sum()) for c in contacts]
+        total = sum(totals)
         return [summary(n_contacts, total, units[0])]
     if any(loads):
         return [f"{sum(loads):.3g} {sum_unit(units[0])}"]
@@ -116,8 +131,12 @@ def _contacts(patches: Sequence[PatchMetrics]) -> list[str]:
 
 def _latency(patches: Sequence[PatchMetrics]) -> tuple[list[str], float]:
     """Latency of the slowest patch as text and its median; none where it is unknown."""
-    quantiles = [(m.latency.summary(), m.latency_uncertainty_ns) for m in patches]
-    stated = [(q["p50"], q["p99"], within_ns) for q, within_ns in quantiles if q]
+    stated = []
+    for metrics in patches:
+        quantiles = metrics.latency.summary()
+        if quantiles is not None:
+            within_ns = metrics.latency_uncertainty_ns
+            stated.append((quantiles["p50"], quantiles["p99"], within_ns))
     if not stated:
         return [], 0.0
     p50_ms, p99_ms, within_ns = max(stated, key=lambda latency: latency[:2])
@@ -127,33 +146,41 @@ def _latency(patches: Sequence[PatchMetrics]) -> tuple[list[str], float]:
     return [text], p50_ms
 
 
-def summary_table(patches: Mapping[str, Mapping[str, Any]]) -> str:
-    """The summary of every patch as text for a terminal of 80 columns."""
+def summary_table(graph: str, patches: Mapping[str, Summary]) -> str:
+    """The summary of every patch of a graph as text for a terminal of 80 columns."""
     if len(patches) > FEW:
-        text = _many_table(patches)
+        text = _many_table(graph, patches)
     else:
-        text = "\n".join(patch_table(name, patch) for name, patch in patches.items())
-    return "\n".join(filter(None, [text, doubts_text(patches.values())]))
+        tables = [_patch_table(graph, *entry) for entry in patches.items()]
+        text = "\n".join(tables)
+    doubts = doubts_text(patches.values())
+    if doubts:
+        text += f"\n{doubts}"
+    return text
 
 
-def doubts_text(patches: Iterable[Mapping[str, Any]]) -> str:
+def doubts_text(patches: Iterable[Summary]) -> str:
     """Number of frames that are not to be trusted, their reasons, and what may help; "" of none."""
     # A patch without any judged frame has no trust to report.
     judged = [patch for patch in patches if patch["trust"]["all"]]
-    n_untrusted = sum(patch["trust"]["all"]["untrusted"] for patch in judged)
-    n_frames = sum(patch["trust"]["all"]["frames"] for patch in judged)
+    trusts = [patch["trust"]["all"] for patch in judged]
+    n_untrusted = sum(trust["untrusted"] for trust in trusts)
+    n_frames = sum(trust["frames"] for trust in trusts)
     if not n_untrusted:
         return ""
 
     counts: Counter[str] = Counter()
     for patch in judged:
         counts.update(patch["doubts"])
-    are = "is" if n_untrusted == 1 else "are"
+    are = "are"
+    if n_untrusted == 1:
+        are = "is"
     text = f"{n_untrusted} of {n_frames} frames {are} in doubt{_reasons(counts)}."
     if counts[Reason.ERROR]:
-        all_rotate = all(patch["rows"] == "rotating" for patch in judged)
-        rotate = "" if all_rotate else " or rotating rows"
-        text += f" If the error lasts, more measurements{rotate} may help."
+        remedy = "more measurements"
+        if any(patch["rows"] != "rotating" for patch in judged):
+            remedy += " or rotating rows"
+        text += f" If the error lasts, {remedy} may help."
     return textwrap.fill(text, WIDTH)
 
 
@@ -163,21 +190,29 @@ def _reasons(counts: Counter[str]) -> str:
         return "".join(f": {phrase_of(word)}" for word in counts)
     text = ""
     for word, count in counts.most_common():
-        frames = "frame" if count == 1 else "frames"
+        frames = "frames"
+        if count == 1:
+            frames = "frame"
         text += f"; in {count} {frames}: {phrase_of(word)}"
     return text
 
 
-def patch_table(name: str, patch: Mapping[str, Any]) -> str:
+def _patch_table(graph: str, name: str, patch: Summary) -> str:
     """The summary of one patch as text, `WIDTH` characters wide."""
     patch = {key: _cell(value) for key, value in patch.items()}
-    frames = patch["frames"]
-    # A table of nothing would be all dashes.
-    if not frames["sensed"] and not frames["reconstructed"]:
-        scene = "" if patch["scene"] == NONE else f"{patch['scene']}: "
-        return f"{printable(name)}: {scene}ended before the first frame"
+    # What was launched, and what was sensed where that has another name.
+    title = printable(name)
+    if graph:
+        title = printable(f"{graph}: {name}")
+    if patch["scene"] not in (NONE, graph):
+        title += f", {patch['scene']}"
 
-    rows = [f" {printable(name)}: {patch['scene']} ".center(WIDTH, "=")]
+    # A table of nothing would be all dashes.
+    frames = patch["frames"]
+    if not frames["sensed"] and not frames["reconstructed"]:
+        return f"{title}: ended before the first frame"
+
+    rows = [f" {title} ".center(WIDTH, "=")]
     if patch["changes"]:
         rows.append(_changes(patch["changes"]))
     rows += [
@@ -200,7 +235,7 @@ def _cell(value: Any) -> Any:
     return value
 
 
-def _frames_text(patch: Mapping[str, Any]) -> str:
+def _frames_text(patch: Summary) -> str:
     frames = patch["frames"]
     text = f"sensed {frames['sensed']}, reconstructed {frames['reconstructed']}, "
     if frames["skipped"]:
@@ -212,7 +247,7 @@ def _frames_text(patch: Mapping[str, Any]) -> str:
     return text
 
 
-def _measured_text(patch: Mapping[str, Any]) -> str:
+def _measured_text(patch: Summary) -> str:
     phi = patch["phi"]
     if patch["rows"] == "rotating":
         phi += ", rotating rows"
@@ -226,7 +261,7 @@ def _measured_text(patch: Mapping[str, Any]) -> str:
     return text
 
 
-def _solver_text(patch: Mapping[str, Any]) -> str:
+def _solver_text(patch: Summary) -> str:
     text = str(patch["solver"])
     if patch["basis"]:
         text += f" in {patch['basis']}"
@@ -241,7 +276,8 @@ def _solver_text(patch: Mapping[str, Any]) -> str:
     return text
 
 
-def _bytes_text(patch: Mapping[str, Any]) -> str:
+def _bytes_text(patch: Summary) -> str:
+    # None come in where frames are compressed outside the graph.
     n_in = patch["bytes_in"]
     n_out = patch["bytes_out"]
     text = f"measurements {n_out:,}"
@@ -252,14 +288,14 @@ def _bytes_text(patch: Mapping[str, Any]) -> str:
     return text
 
 
-def _time_text(patch: Mapping[str, Any]) -> str:
+def _time_text(patch: Summary) -> str:
     text = f"latency {_times(patch['latency_ms'])}"
     if patch["latency_uncertainty_ms"]:
         text += f" (± {patch['latency_uncertainty_ms']:.2f})"
     return f"{text}; solve {_times(patch['solve_ms'])}"
 
 
-def _score_rows(patch: Mapping[str, Any]) -> Iterator[str]:
+def _score_rows(patch: Summary) -> Iterator[str]:
     """PSNR or relative error, and trust: of all frames and of contact frames."""
     against = {"truth": "against the truth", "taxels": "against the recorded taxels"}
     if patch["reference"] in against:
@@ -278,7 +314,10 @@ def _score_rows(patch: Mapping[str, Any]) -> Iterator[str]:
 
     frames_of = {"all": "all frames", "contact": "contact frames"}
     for label, extents in scores.items():
-        form = ".3f" if label == "relative error" else ".1f"
+        form = ".1f"
+        if label == "relative error":
+            # A share of the force, and no decibels.
+            form = ".3f"
         for which, extent in extents.items():
             if extent not in (None, NONE):
                 yield f"{label:<24}{frames_of[which]:<17}{_figures(extent, form)}"
@@ -291,11 +330,12 @@ def _since(stamp_ns: Any) -> str:
     return time.strftime(" since %H:%M:%S", time.localtime(stamp_ns / 1e9))
 
 
-def _many_table(patches: Mapping[str, Mapping[str, Any]]) -> str:
+def _many_table(graph: str, patches: Mapping[str, Summary]) -> str:
     """One row a patch: counts of frames, mean PSNR of all and of contact frames, latency."""
-    scene = next(iter(patches.values()))["scene"]
+    # Patches of a body may have scenes of their own: what was launched names them all.
+    title = f" {printable(graph)}: {len(patches)} patches "
     rows = [
-        f" {len(patches)} patches: {printable(str(scene))} ".center(WIDTH, "="),
+        title.center(WIDTH, "="),
         f"{'':<12}{'frames':>8}{'skipped':>8}{'lost':>6}{'idle':>7}"
         f"{'PSNR dB':>10}{'contact':>8}{'latency p50':>12}{'p99 ms':>7}",
     ]
@@ -303,9 +343,12 @@ def _many_table(patches: Mapping[str, Mapping[str, Any]]) -> str:
         frames = patch["frames"]
         psnr_db = patch["psnr_db"]["reconstruction"]
         n_frames = frames["reconstructed"]
+        # None of a patch that was never touched, or has no reference.
         mean_db = {k: extent and extent["mean"] for k, extent in psnr_db.items()}
         latency_ms = patch["latency_ms"] or {}
-        idle = f"{100 * patch['unchanged'] / n_frames:.0f} %" if n_frames else NONE
+        idle = NONE
+        if n_frames:
+            idle = f"{100 * patch['unchanged'] / n_frames:.0f} %"
         rows.append(
             f"{printable(name)[:12]:<12}{n_frames:>8}{frames['skipped']:>8}{frames['lost']:>6}"
             f"{idle:>7}"
@@ -319,12 +362,13 @@ def _many_table(patches: Mapping[str, Mapping[str, Any]]) -> str:
         for key in ("sensed", "reconstructed", "skipped", "lost")
     }
     total["unchanged"] = sum(patch["unchanged"] for patch in patches.values())
-    rows.append(f"{'all':<12}" + ", ".join(f"{key} {n}" for key, n in total.items()))
+    totals = ", ".join(f"{key} {n}" for key, n in total.items())
+    rows.append(f"{'all':<12}{totals}")
     rows.append("=" * WIDTH)
     return "\n".join(rows)
 
 
-def _changes(changes: Sequence[Mapping[str, Any]]) -> str:
+def _changes(changes: Sequence[Summary]) -> str:
     """The settings that changed during the run, which the lines below state as they were last."""
     parts = []
     for change in changes[:MAX_CHANGES]:
@@ -341,7 +385,8 @@ def _changes(changes: Sequence[Mapping[str, Any]]) -> str:
 def _figures(extent: Mapping[str, float], form: str) -> str:
     """Mean, minimum and maximum; of trust the share, and the number of the others."""
     if "trusted_share" not in extent:
-        return "".join(f"{extent[key]:>8{form}}" for key in ("mean", "min", "max"))
+        figures = [extent[key] for key in ("mean", "min", "max")]
+        return "".join(f"{figure:>8{form}}" for figure in figures)
     share = share_of(extent["trusted_share"])
     return f"{share:>8}   ({extent['untrusted']} of {extent['frames']} not)"
 
@@ -349,7 +394,9 @@ def _figures(extent: Mapping[str, float], form: str) -> str:
 def share_of(share: float) -> str:
     """A share in %; 100 % and 0 % only where it is exactly that."""
     if 0 < share < 1:
-        return f"{min(max(100 * share, 0.1), 99.9):.1f} %"
+        # Rounded, 99.97 % would pass for all.
+        percent = min(max(100 * share, 0.1), 99.9)
+        return f"{percent:.1f} %"
     return f"{100 * share:.0f} %"
 
 
@@ -363,6 +410,7 @@ def shown(value: float | str | None, form: str) -> str:
 
 
 def _times(quantiles: Mapping[str, float] | str) -> str:
+    # "-" where they are not known.
     if isinstance(quantiles, str):
         return f"p50 {quantiles}, p99 {quantiles}"
     return f"p50 {quantiles['p50']:.2f} ms, p99 {quantiles['p99']:.2f} ms"

@@ -8,7 +8,6 @@ import contextlib
 import socket
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
-from typing import Any
 
 import zmq
 from zmq.utils import z85
@@ -16,7 +15,7 @@ from zmq.utils import z85
 from sparseskin.nodes.node_host import log_some
 
 from .keys import KeyPair
-from .sockets import HANDSHAKE_MS, MAX_EVENTS, events
+from .sockets import HANDSHAKE_MS, MAX_EVENTS, Context, Socket, events
 
 ZAP_ENDPOINT = "inproc://zeromq.zap.01"
 ZAP_DOMAIN = b"sparseskin"
@@ -47,7 +46,7 @@ class Gate:
 
     def __init__(
         self,
-        context: zmq.Context[Any],
+        context: Context,
         keys: KeyPair | None,
         allowed: Mapping[str, str],
         known: Mapping[str, str],
@@ -66,9 +65,9 @@ class Gate:
         # ZeroMQ asks this socket, of the same context, about each connection.
         self._zap = context.socket(zmq.REP)
         self._zap.bind(ZAP_ENDPOINT)
-        self.sockets: list[zmq.Socket[bytes]] = [self._zap]
+        self.sockets: list[Socket] = [self._zap]
 
-    def guard(self, writer: zmq.Socket[bytes]) -> None:
+    def guard(self, writer: Socket) -> None:
         """Guard a socket; call it before the socket is bound."""
         # Without a domain ZeroMQ asks nobody.
         writer.setsockopt(zmq.ZAP_DOMAIN, ZAP_DOMAIN)
@@ -118,7 +117,9 @@ class Gate:
         if refusal:
             self._log_refusal(address, refusal)
             status = b"400"
-        self._zap.send_multipart([version, request, status, refusal.encode(), b"", b""])
+        # At the end: a user and metadata, of which there are none (ZeroMQ RFC 27).
+        text = refusal.encode()
+        self._zap.send_multipart([version, request, status, text, b"", b""])
 
     def _refusal_of(self, key: str) -> str:
         """Why the peer with a public key may not read; "" if it may."""
@@ -155,18 +156,21 @@ class Gate:
     def _decide(self, address: str) -> bool:
         """True if an authentication of an address was decided, once for each."""
         host = _host(address)
-        decided = self._decided[host] > 0
-        self._decided[host] -= decided
-        self._decided += Counter()  # without those that are zero
-        return decided
+        is_decided = self._decided[host] > 0
+        self._decided[host] -= is_decided
+        # Those that are zero go: many addresses must not fill the memory.
+        if not self._decided[host]:
+            del self._decided[host]
+        return is_decided
 
     def _close_one(self) -> None:
         """Close the oldest pending connection of the address that has the most, if there is one."""
         if not self._pending:
             return
         # One address that floods must not shut out the others.
-        ((host, _),) = Counter(map(_host, self._pending.values())).most_common(1)
-        fd = next(fd for fd, address in self._pending.items() if _host(address) == host)
+        hosts = {fd: _host(address) for fd, address in self._pending.items()}
+        ((flooding, _),) = Counter(hosts.values()).most_common(1)
+        fd = next(fd for fd, host in hosts.items() if host == flooding)
         address = self._pending.pop(fd)
 
         _shut_down(fd, address)

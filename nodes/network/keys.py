@@ -24,6 +24,7 @@ SECRET_MODE = 0o600
 KEY_CHARACTERS = 40
 """Length of a CURVE key as text (Z85)."""
 MAX_KEY_FILE_BYTES = 4096
+"""Most that is read of a file: a key and some lines of comment are far shorter."""
 _Z85 = re.compile(r"[0-9A-Za-z.\-:+=^!/*?&<>()\[\]{}@%$#]+")
 
 
@@ -58,7 +59,9 @@ def make_key_files(name: str, folder: Path) -> tuple[Path, Path]:
             raise KeyFileError(f"{path}: {TAKEN}")
 
     # The folder of new keys is this user's alone: whoever writes to it can replace them.
-    public, secret = (key.decode() for key in zmq.curve_keypair())
+    public_bytes, secret_bytes = zmq.curve_keypair()
+    public = public_bytes.decode()
+    secret = secret_bytes.decode()
     try:
         folder.mkdir(mode=0o700, parents=True, exist_ok=True)
         use = f"# the secret key of {name}: for this host alone"
@@ -89,7 +92,9 @@ def read_key_pair(path: Path) -> KeyPair:
 
     secret = _key_in(path, check)
     try:
-        return KeyPair(zmq.curve_public(secret.encode()).decode(), secret)
+        # The public key follows from the secret one.
+        public = zmq.curve_public(secret.encode())
+        return KeyPair(public.decode(), secret)
     except (zmq.ZMQError, ValueError) as error:
         raise KeyFileError(f"{path}: holds no secret key") from error
 
@@ -149,18 +154,21 @@ def _key_in(path: Path, check: Callable[[os.stat_result], None]) -> str:
         with path.open("rb") as file:
             # Of the open file: the path may name another one a moment later.
             check(os.fstat(file.fileno()))
-            lines = file.read(MAX_KEY_FILE_BYTES).decode(errors="replace").splitlines()
+            content = file.read(MAX_KEY_FILE_BYTES)
     except OSError as error:
         hint = ""
         if not path.exists():
             hint = f" (make one: sparseskin keys make {path.stem})"
         raise KeyFileError(f"{path}: {error.strerror}{hint}") from error
 
-    # A key of Z85 may begin with "#", a comment begins with "# ".
-    stripped = map(str.strip, lines)
-    keys = [line for line in stripped if line and not line.startswith("# ")]
-    if len(keys) != 1 or len(keys[0]) != KEY_CHARACTERS or not _Z85.fullmatch(keys[0]):
-        raise KeyFileError(
-            f"{path}: expected one key of {KEY_CHARACTERS} characters in it"
-        )
-    return keys[0]
+    keys = []
+    for line in content.decode(errors="replace").splitlines():
+        key = line.strip()
+        # A key of Z85 may begin with "#", a comment begins with "# ".
+        if key and not key.startswith("# "):
+            keys.append(key)
+    if len(keys) == 1:
+        (key,) = keys
+        if len(key) == KEY_CHARACTERS and _Z85.fullmatch(key):
+            return key
+    raise KeyFileError(f"{path}: expected one key of {KEY_CHARACTERS} characters in it")

@@ -43,6 +43,7 @@ MAX_NOTE_BYTES = 1024
 MAX_ASK_BYTES = 64
 MAX_TIMES_BYTES = 160
 MAX_TIME_DIGITS = 20
+"""Longest note of an ask, and of times: a name and one number, or three, of nanoseconds."""
 MAX_WRITERS = 256
 MAX_READERS = 128
 MAX_SUBSCRIPTIONS = 4096
@@ -67,19 +68,22 @@ OVER_NETWORK_MS = {
 }
 """Options of sockets whose links can break silently, for all later binds and connections."""
 
+Socket = zmq.Socket[bytes]
+Context = zmq.Context[Socket]
+
 _NOBLOCK = int(zmq.NOBLOCK)
 _EVENTS = int(zmq.EVENTS)
 _POLLIN = int(zmq.POLLIN)
 
 
-def make_context() -> zmq.Context[zmq.Socket[bytes]]:
+def make_context() -> Context:
     """Return a context whose sockets never delay the end of a process."""
-    context: zmq.Context[zmq.Socket[bytes]] = zmq.Context()
+    context: Context = zmq.Context()
     context.linger = 0
     return context
 
 
-def events(monitor: zmq.Socket[bytes]) -> Iterator[tuple[int, int, str]]:
+def events(monitor: Socket) -> Iterator[tuple[int, int, str]]:
     """Waiting events of a socket monitor, with their values and endpoints: zmq_socket_monitor(3).
 
     `zmq.utils.monitor` does the same and imports asyncio, which every node would wait for.
@@ -88,10 +92,11 @@ def events(monitor: zmq.Socket[bytes]) -> Iterator[tuple[int, int, str]]:
         if not monitor.poll(0):
             return
         head, endpoint = monitor.recv_multipart()
-        yield *struct.unpack("=Hi", head), endpoint.decode(errors="replace")
+        event, value = struct.unpack("=Hi", head)
+        yield event, value, endpoint.decode(errors="replace")
 
 
-def _set_options(socket: zmq.Socket[bytes], options: Mapping[Any, Any]) -> None:
+def _set_options(socket: Socket, options: Mapping[Any, Any]) -> None:
     for option, value in options.items():
         socket.setsockopt(option, value)
 
@@ -122,7 +127,7 @@ class Writer:
 
     def __init__(
         self,
-        context: zmq.Context[Any],
+        context: Context,
         endpoint: str,
         name: str = "writer",
         *,
@@ -131,7 +136,7 @@ class Writer:
         now_ns: Callable[[], int] | None = None,
         log: Callable[[str], None] = lambda line: None,
     ) -> None:
-        self.socket: zmq.Socket[bytes] = context.socket(zmq.XPUB)
+        self.socket: Socket = context.socket(zmq.XPUB)
         # Each subscription arrives, not the first of a topic alone: late readers get its state.
         self.socket.setsockopt(zmq.XPUB_VERBOSE, 1)
         self.socket.setsockopt(zmq.SNDHWM, QUEUE_FRAMES)
@@ -145,7 +150,9 @@ class Writer:
         if endpoint.startswith("ipc:///") and is_served(Path(path)):
             raise zmq.ZMQError(zmq.EADDRINUSE)
         self.socket.bind(endpoint)
-        self.endpoint = self.socket.getsockopt(zmq.LAST_ENDPOINT).rstrip(b"\0").decode()
+        # Where it was bound: the port may have been left to the system.
+        last_endpoint: bytes = self.socket.last_endpoint  # type: ignore[assignment]
+        self.endpoint = last_endpoint.decode()
         if public:
             _set_options(self.socket, OVER_NETWORK_MS)
             self.socket.bind(public)
@@ -184,7 +191,9 @@ class Writer:
 
     def note(self, reader: str, text: str) -> None:
         """Send a note to a reader, under its presence tag."""
-        self.socket.send(b"%b%b\0%b" % (PRESENCE, reader.encode(), text.encode()))
+        # As in any message, a 0 stands between topic and payload.
+        tag = PRESENCE + reader.encode()
+        self.socket.send(tag + b"\0" + text.encode())
 
     def serve_subscriptions(self) -> None:
         """Process waiting subscriptions: note present readers, repeat latched messages."""
@@ -203,7 +212,8 @@ class Writer:
             topic = frame.bytes[1:]
             self._count_subscription(joins)
             if topic.startswith(PRESENCE):
-                self._note_presence(topic[1:].decode(errors="replace"), joins)
+                tag = topic[1:].decode(errors="replace")
+                self._note_presence(tag, joins)
             elif joins:
                 self._add_prefix(topic)
                 # A reader that comes late gets the state that holds.
@@ -229,8 +239,11 @@ class Writer:
         """True if a reader may have subscribed to a topic; ZeroMQ subscribes by prefix."""
         is_wanted = self._is_wanted.get(topic)
         if is_wanted is None:
-            is_full = len(self._prefixes) >= MAX_SUBSCRIPTIONS
-            is_wanted = is_full or topic.encode().startswith(tuple(self._prefixes))
+            prefixes = tuple(self._prefixes)
+            is_wanted = topic.encode().startswith(prefixes)
+            # Further prefixes were not kept: one of them may select it.
+            if len(prefixes) >= MAX_SUBSCRIPTIONS:
+                is_wanted = True
             self._is_wanted[topic] = is_wanted
         return is_wanted
 
@@ -246,6 +259,7 @@ class Writer:
     def awaits(self, ask: int) -> bool:
         """True if a present reader that was asked has not answered yet."""
         asked = self.present & self._answered.keys()
+        # A reader that has left is not waited for.
         return any(self._answered[reader] < ask for reader in asked)
 
     def has_answered(self, reader: str, ask: int) -> bool:
@@ -288,7 +302,9 @@ class Writer:
         writer, _, number = answer.partition(":")
         is_for_us = writer == self._name and reader in self._answered
         if is_for_us and number.isdecimal():
-            self._answered[reader] = max(self._answered[reader], int(number[:18]))
+            # Of at most 18 digits: no ask has more.
+            answered = int(number[:18])
+            self._answered[reader] = max(self._answered[reader], answered)
             self._processed[reader] = self._answered[reader]
 
     def _note_reader(self, tag: str, joins: bool) -> None:
@@ -315,7 +331,7 @@ class Reader:
 
     def __init__(
         self,
-        context: zmq.Context[Any],
+        context: Context,
         name: str,
         endpoints: Iterable[str],
         topics: Iterable[str],
@@ -324,7 +340,7 @@ class Reader:
         read_ahead: int = QUEUE_FRAMES,
         observes: bool = False,
     ) -> None:
-        self.socket: zmq.Socket[bytes] = context.socket(zmq.SUB)
+        self.socket: Socket = context.socket(zmq.SUB)
         self.socket.setsockopt(zmq.MAXMSGSIZE, MAX_MESSAGE_BYTES)
         if read_ahead == NEWEST_ALONE:
             # Conflation keeps one subscription of several, too.
@@ -386,7 +402,9 @@ class Reader:
     @property
     def has_waiting(self) -> bool:
         """True if a message waits."""
-        return bool(self._queue) or bool(self.socket.getsockopt(_EVENTS) & _POLLIN)  # type: ignore[operator]
+        if self._queue:
+            return True
+        return bool(self.socket.getsockopt(_EVENTS) & _POLLIN)  # type: ignore[operator]
 
     def take(
         self, depth: int, streams: Container[bytes]
@@ -399,11 +417,16 @@ class Reader:
         """
         if depth:
             self._fill_queue()
-        message = self._queue.popleft() if self._queue else self.receive()
+        if self._queue:
+            message: tuple[bytes, Payload] | None = self._queue.popleft()
+        else:
+            message = self.receive()
         if message is None:
             return None
         topic, payload = message
-        is_overtaken = depth > 0 and topic in streams and self._has_newer(topic, depth)
+        is_overtaken = False
+        if depth > 0 and topic in streams:
+            is_overtaken = self._has_newer(topic, depth)
         return topic, payload, is_overtaken
 
     def _fill_queue(self) -> None:
@@ -459,7 +482,9 @@ def read_times(note: bytes) -> tuple[str, int, int, int] | None:
     parts = times.split(":")
     if len(parts) != 3:
         return None
-    if not all(part.isdecimal() and len(part) <= MAX_TIME_DIGITS for part in parts):
-        return None
+    for part in parts:
+        # int() takes time that grows with the square of the digits.
+        if not part.isdecimal() or len(part) > MAX_TIME_DIGITS:
+            return None
     t1_ns, t2_ns, t3_ns = map(int, parts)
     return writer, t1_ns, t2_ns, t3_ns

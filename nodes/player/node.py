@@ -23,6 +23,7 @@ from sparseskin.nodes.errors import RefusedError, SettingsError, SparseskinError
 from sparseskin.nodes.lookup import did_you_mean
 from sparseskin.nodes.node import Context, SourceNode, Tick
 from sparseskin.nodes.node_host import is_latched
+from sparseskin.nodes.process.control import Document
 from sparseskin.nodes.recorder.bag.format import TopicInfo, span_ns
 from sparseskin.nodes.recorder.bag.reader import BagReader
 from sparseskin.nodes.settings import Settings, setting
@@ -31,6 +32,8 @@ from .schedule import Schedule
 
 LOWEST_RATE = 0.001
 HIGHEST_RATE = 1000.0
+"""Limits of a rate that is changed while it plays; 0, as fast as it is read, is set at the start
+alone, since there is no schedule to change then."""
 MAX_STAMPS = 4096
 """Frames in flight whose new stamps are kept; a later message counts as a frame of its own."""
 
@@ -54,9 +57,6 @@ class PlayerSettings(Settings):
     schemas: tuple[str, ...] = setting(
         (), "schemas to play (skin, taxels, truth ...), instead of topics"
     )
-    remap: tuple[str, ...] = setting(
-        (), "FROM:=TO each: /PATCH:=/PATCH or whole topics"
-    )
     lockstep: bool = setting(
         False, "send no frame before all readers have processed the last"
     )
@@ -67,9 +67,6 @@ class PlayerSettings(Settings):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        for pair in self.remap:
-            if pair.count(":=") != 1:
-                raise SettingsError(f"remap: '{pair}': expected FROM:=TO")
         for schema in self.schemas:
             if schema not in SCHEMAS:
                 raise SettingsError(
@@ -81,9 +78,9 @@ class PlayerSettings(Settings):
             raise SettingsError("keep_stamps: cannot be combined with loop")
 
     def check(self) -> None:
-        names = renamed_topics(self)
+        topics = played_topics(self)
         recorded = _topics_of(self.file)
-        infos = [recorded[topic] for topic in names if topic in recorded]
+        infos = [recorded[topic] for topic in topics if topic in recorded]
         first_ns, last_ns = span_ns(infos) or (0, 0)
         length_s = (last_ns - first_ns) / 1e9
         if self.start_s > length_s:
@@ -114,12 +111,12 @@ class Player(SourceNode[PlayerSettings]):
 
         # Not the whole file is read: what is damaged is reported as it is played.
         self._bag = BagReader(settings.file, whole=False)
-        self._names = renamed_topics(settings)
-        for topic in self._names.keys() - self._bag.topics.keys():
-            del self._names[topic]
+        # A truth that was not recorded is left out.
+        recorded = self._bag.topics
+        self._topics = [topic for topic in played_topics(settings) if topic in recorded]
         if self._bag.recovered:
             print(f"{settings.file}: {self._bag.recovered}")
-        if not any(info.n_messages for info in self._bag.topics.values()):
+        if not any(info.n_messages for info in recorded.values()):
             self._bag.close()
             raise SettingsError(
                 f"{settings.file}: holds no message, so there is nothing to play"
@@ -128,13 +125,13 @@ class Player(SourceNode[PlayerSettings]):
         self.min_readers = settings.wait or int(settings.lockstep)
         if settings.lockstep:
             self.window = 1
-        self._states = [topic for topic in self._names if is_latched(topic)]
-        self._streams = [topic for topic in self._names if not is_latched(topic)]
+        self._states = [topic for topic in self._topics if is_latched(topic)]
+        self._streams = [topic for topic in self._topics if not is_latched(topic)]
         # States that change within the recording are published again after a jump.
-        states = [info for topic, info in self._bag.topics.items() if is_latched(topic)]
+        states = [info for topic, info in recorded.items() if is_latched(topic)]
         self._has_changes = any(info.n_messages > 1 for info in states)
 
-        infos = [self._bag.topics[topic] for topic in self._names]
+        infos = [recorded[topic] for topic in self._topics]
         first_ns, last_ns = span_ns(infos) or (0, 0)
         self._start_ns = first_ns + round(settings.start_s * 1e9)
         self._stop_ns = last_ns + 1
@@ -145,7 +142,8 @@ class Player(SourceNode[PlayerSettings]):
         self._schedule = Schedule(self._start_ns, settings.rate, settings.paused)
         self._stamps: dict[int, int] = {}
         self._n_frames = 0
-        self._shift_ns = 0  # of the stamps, in this repetition of a loop
+        # Of the stamps, in this repetition of a loop.
+        self._shift_ns = 0
         self._frame_ns: int | None = None
         self._messages = self._read(self._start_ns)
         self._next: Message | None = None
@@ -153,25 +151,23 @@ class Player(SourceNode[PlayerSettings]):
 
     @classmethod
     def outputs(cls, settings: PlayerSettings) -> tuple[str, ...]:
-        return tuple(renamed_topics(settings).values())
+        return tuple(played_topics(settings))
 
     @classmethod
     def facts(cls, settings: PlayerSettings) -> Mapping[str, Any]:
-        facts: dict[str, Any] = {}
+        facts: Document = {}
         # What cannot be read is reported as it is played.
         with (
             BagReader(settings.file, whole=False) as bag,
             contextlib.suppress(SparseskinError, MessageError),
         ):
-            names = renamed_topics(settings)
-            latched = filter(is_latched, names.keys() & bag.topics.keys())
-            for recorded in bag.messages(latched):
+            topics = bag.topics.keys() & played_topics(settings)
+            for recorded in bag.messages(filter(is_latched, topics)):
                 state = decode(recorded.topic.encode(), recorded.payload)
-                new_name = names[recorded.topic]
                 if isinstance(state, SkinState):
-                    facts.setdefault(new_name, state.skin.n_taxels)
+                    facts.setdefault(recorded.topic, state.skin.n_taxels)
                 elif isinstance(state, PhiState):
-                    facts.setdefault(new_name, state.kind)
+                    facts.setdefault(recorded.topic, state.kind)
         return facts
 
     def start(self) -> Iterable[Message]:
@@ -182,7 +178,8 @@ class Player(SourceNode[PlayerSettings]):
         states: dict[str, Message] = {}
         for recorded in self._bag.messages(self._states):
             if recorded.stamp_ns <= at_ns or recorded.topic not in states:
-                states[recorded.topic] = self._decoded(recorded.topic, recorded.payload)
+                state = self._decoded(recorded.topic, recorded.payload)
+                states[recorded.topic] = state
         return list(states.values())
 
     @property
@@ -216,7 +213,7 @@ class Player(SourceNode[PlayerSettings]):
         """
         frame_ns = self._frame_ns
         # Without a bound, a stream that has ended early would be waited for to the end of the file.
-        behind = {self._names[topic] for topic in self._streams}
+        behind = set(self._streams)
         for _ in range(MAX_STAMPS):
             message = self._next
             if message is None or frame_ns is None or not behind:
@@ -234,7 +231,9 @@ class Player(SourceNode[PlayerSettings]):
                 self._schedule.step(now_ns)
                 return "one frame"
             case "faster" | "slower":
-                factor = 1.1 if name == "faster" else 1 / 1.1
+                factor = 1.1
+                if name == "slower":
+                    factor = 1 / 1.1
                 rate = self._schedule.rate * factor
                 rate = min(max(rate, LOWEST_RATE), HIGHEST_RATE)
                 return self._change_rate(rate, now_ns)
@@ -255,17 +254,20 @@ class Player(SourceNode[PlayerSettings]):
     def pause(self, paused: bool) -> None:
         self._schedule.toggle_pause(self.context.clock.now_ns())
 
-    def state(self) -> dict[str, Any]:
+    def state(self) -> Document:
         """Pause, rate, and position in recorded seconds."""
         # Stamps of a loop are shifted: the position is that within the recording.
         position_ns = self._stop_ns
         if self._next is not None:
             position_ns = min(self._next.stamp_ns - self._shift_ns, self._stop_ns)
+        # Where nothing lies within the part that is to be played, it ends before it starts.
+        played_ns = max(0, position_ns - self._start_ns)
+        length_ns = max(0, self._stop_ns - self._start_ns)
         return {
             "paused": self.paused,
             "rate": self._schedule.rate,
-            "position_s": max(0.0, (position_ns - self._start_ns) / 1e9),
-            "length_s": max(0.0, (self._stop_ns - self._start_ns) / 1e9),
+            "position_s": played_ns / 1e9,
+            "length_s": length_ns / 1e9,
         }
 
     def _change_rate(self, rate: float, now_ns: int) -> str:
@@ -290,7 +292,9 @@ class Player(SourceNode[PlayerSettings]):
         self._messages = messages
         self._next = message
         if self._has_changes:
-            states = [s.moved(stamp_ns - s.stamp_ns) for s in self._states_at(stamp_ns)]
+            states = self._states_at(stamp_ns)
+            # They are of the position sought, whenever they were recorded.
+            states = [state.moved(stamp_ns - state.stamp_ns) for state in states]
             self._messages = chain(states[1:], [message], messages)
             self._next = states[0]
         # Frames in flight are of the part before the jump.
@@ -300,14 +304,20 @@ class Player(SourceNode[PlayerSettings]):
     def status(self) -> str:
         """Frames and seconds played, and the rate."""
         state = self.state()
-        note = "paused" if self.paused else f"rate {self._schedule.rate:.3g}"
+        note = f"rate {self._schedule.rate:.3g}"
+        if self.paused:
+            note = "paused"
         played = f"{state['position_s']:.1f} of {state['length_s']:.1f} s"
         return f"{self._n_frames} frames: {played}, {note}"
 
-    def report(self) -> dict[str, Any]:
-        return {"played": {"file": self.settings.file, "frames": self._n_frames}}
+    def report(self) -> Document:
+        played = {
+            "file": self.settings.file,
+            "frames": self._n_frames,
+        }
+        return {"played": played}
 
-    def close(self, counts: dict[str, Any]) -> None:
+    def close(self, counts: Document) -> None:
         self._bag.close()
 
     def _advance(self) -> None:
@@ -321,7 +331,7 @@ class Player(SourceNode[PlayerSettings]):
         while self._streams:
             self._shift_ns = shift_ns
             n_read = 0
-            for recorded in self._bag.messages(self._names, from_ns, self._stop_ns):
+            for recorded in self._bag.messages(self._topics, from_ns, self._stop_ns):
                 # These states were published before.
                 latched = recorded.topic in self._states
                 if latched and recorded.stamp_ns <= from_ns:
@@ -338,8 +348,10 @@ class Player(SourceNode[PlayerSettings]):
             from_ns = self._start_ns
             shift_ns += self._stop_ns - self._start_ns
             if self._has_changes:
+                # Those of the end are not those of the begin.
+                begin_ns = self._start_ns + shift_ns
                 for state in self._states_at(from_ns):
-                    yield state.moved(self._start_ns + shift_ns - state.stamp_ns)
+                    yield state.moved(begin_ns - state.stamp_ns)
 
     def _decoded(self, topic: str, payload: bytes) -> Message:
         try:
@@ -348,13 +360,10 @@ class Player(SourceNode[PlayerSettings]):
             raise SparseskinError(f"{self.settings.file}: {topic}: {error}") from error
         if isinstance(message, SkinState):
             # A recording without its truth must not promise one.
-            truth = topic_of(split_topic(topic)[0], Truth.schema)
-            has_truth = message.has_truth and truth in self._names
+            truth = topic_of(message.patch, Truth.schema)
+            has_truth = message.has_truth and truth in self._topics
             # Recorded frames wait, whatever they were when they were sensed.
             message = replace(message, has_truth=has_truth, live=False)
-        patch = split_topic(self._names[topic])[0]
-        if patch != message.patch:
-            message = replace(message, patch=patch)
         return message
 
     def _as_played(self, message: Message, now_ns: int) -> Message:
@@ -366,7 +375,8 @@ class Player(SourceNode[PlayerSettings]):
             if len(self._stamps) >= MAX_STAMPS:
                 del self._stamps[next(iter(self._stamps))]
             self._stamps[message.stamp_ns] = now_ns
-        return message.moved(self._stamps[message.stamp_ns] - message.stamp_ns)
+        played_ns = self._stamps[message.stamp_ns]
+        return message.moved(played_ns - message.stamp_ns)
 
 
 def _number(name: str, value: Any, low: float, high: float) -> float:
@@ -383,38 +393,25 @@ def _topics_of(file: str) -> dict[str, TopicInfo]:
         return dict(bag.topics)
 
 
-def renamed_topics(settings: PlayerSettings) -> dict[str, str]:
-    """Names under which the chosen topics of the recording are played.
+def played_topics(settings: PlayerSettings) -> list[str]:
+    """The chosen topics of the recording; a truth among them may not have been recorded.
 
-    Raises SparseskinError if the file cannot be opened, lacks a topic, or a new name is no topic
-    of the same schema.
+    Raises SparseskinError if the file cannot be opened, or lacks another topic.
     """
     if not settings.file:
         raise SettingsError("file: state the recording to play")
     recorded = _topics_of(settings.file)
     for topic in settings.topics:
         if topic not in recorded:
-            raise SettingsError(f"topics: {topic}: not in the file{_known(recorded)}")
+            # All of them: their names are too alike for a nearest one.
+            names = ", ".join(sorted(recorded))
+            raise SettingsError(f"topics: {topic}: not in the file (known: {names})")
 
-    topics = list(settings.topics or _of_schemas(recorded, settings) or recorded)
-    names = {topic: topic for topic in topics}
-
-    for pair in settings.remap:
-        old, new = (side.strip().rstrip("/") for side in pair.split(":="))
-        # With a slash: "/skin" is no beginning of "/skin_x".
-        matching = [topic for topic in topics if f"{topic}/".startswith(f"{old}/")]
-        if not matching:
-            raise SettingsError(f"remap: {old}: not in the file{_known(topics)}")
-        for topic in matching:
-            names[topic] = _renamed(topic, new + topic.removeprefix(old))
-    if len(set(names.values())) < len(names):
-        raise SettingsError("remap: two topics would have one name")
-    return names
-
-
-def _known(topics: Iterable[str]) -> str:
-    """All topics: their names are too alike for a nearest one."""
-    return f" (known: {', '.join(sorted(topics))})"
+    if settings.topics:
+        return list(settings.topics)
+    if settings.schemas:
+        return _of_schemas(recorded, settings)
+    return list(recorded)
 
 
 def _of_schemas(recorded: Iterable[str], settings: PlayerSettings) -> list[str]:
@@ -431,15 +428,3 @@ def _of_schemas(recorded: Iterable[str], settings: PlayerSettings) -> list[str]:
                     f"schemas: {topic}: not in {place}; record it with them"
                 )
     return topics
-
-
-def _renamed(topic: str, new: str) -> str:
-    try:
-        schema = split_topic(new)[1]
-    except MessageError as error:
-        raise SettingsError(f"remap: {error}") from error
-    if schema != split_topic(topic)[1]:
-        raise SettingsError(
-            f"remap: {topic} cannot become {new}: a topic ends in its schema"
-        )
-    return new

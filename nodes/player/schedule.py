@@ -26,12 +26,13 @@ class Schedule:
 
     def due_ns(self, stamp_ns: int) -> int | None:
         """Time at which a stamp is due; None while paused without a requested step."""
-        if self.paused:
-            return 0 if self._steps else None
-        if not self.rate:
+        if self.paused and not self._steps:
+            return None
+        if self.paused or not self.rate:
             return 0
         # Each target follows from t0 alone, so that no rounding adds up.
-        return self._t0_ns + round((stamp_ns - self._first_ns) / self.rate)
+        since_first_ns = stamp_ns - self._first_ns
+        return self._t0_ns + round(since_first_ns / self.rate)
 
     def stepped(self, stamp_ns: int) -> None:
         """Note that a frame was played; while paused, this consumes a step and moves on."""
@@ -67,9 +68,12 @@ class Schedule:
             self._anchor(position_ns, now_ns)
 
     def _stamp_at(self, now_ns: int) -> int:
-        return self._first_ns + round(max(0, now_ns - self._t0_ns) * self.rate)
+        # Before it begins, t0 lies ahead.
+        played_ns = max(0, now_ns - self._t0_ns)
+        return self._first_ns + round(played_ns * self.rate)
 
     def _anchor(self, position_ns: int, now_ns: int) -> None:
         """Make a stamp due now."""
         if self.rate:
-            self._t0_ns = now_ns - round((position_ns - self._first_ns) / self.rate)
+            since_first_ns = position_ns - self._first_ns
+            self._t0_ns = now_ns - round(since_first_ns / self.rate)

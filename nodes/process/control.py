@@ -16,7 +16,10 @@ from typing import Any
 
 from sparseskin.nodes.errors import SparseskinError
 
+Document = dict[str, Any]
+"""A JSON object: an event, a request or an answer; a report, or the state of a node."""
 PARENT_CHECK_S = 1.0
+"""Time between two looks whether the launcher still runs, seconds."""
 MAX_DEPTH = 4
 """Largest depth of nested lists and maps in a request."""
 COUNTED = ("received", "lost", "skipped")
@@ -27,8 +30,12 @@ def is_shallow(value: Any, depth: int = MAX_DEPTH) -> bool:
     """True if a JSON value nests lists and maps at most `depth` deep."""
     if not isinstance(value, dict | list):
         return True
-    parts = value.values() if isinstance(value, dict) else value
-    return depth > 0 and all(is_shallow(part, depth - 1) for part in parts)
+    if depth == 0:
+        return False
+    parts: Any = value
+    if isinstance(value, dict):
+        parts = value.values()
+    return all(is_shallow(part, depth - 1) for part in parts)
 
 
 @functools.cache
@@ -74,6 +81,7 @@ class Connection:
             return []
         except OSError:
             return None
+        # The last part has no end yet, and is empty where a line has just ended.
         *lines, self._rest = (self._rest + chunk).split(b"\n")
         # A line without an end would fill the memory.
         if not chunk or len(self._rest) > self._max_line_bytes:
@@ -87,6 +95,7 @@ class Connection:
 
     def flush(self) -> bool:
         """Send what is queued; False once too much is queued, or the connection has ended."""
+        # The rest waits for the next call: a peer that is slow holds up nobody.
         try:
             while self._unsent:
                 n_sent = self.connection.send(self._unsent, socket.MSG_DONTWAIT)
@@ -105,7 +114,9 @@ class Control(Connection):
 
     def __init__(self, fd: int = 0) -> None:
         # The number of stdin stays taken: another file would be read as such.
-        super().__init__(socket.socket(fileno=os.dup(fd) if fd == 0 else fd))
+        if fd == 0:
+            fd = os.dup(fd)
+        super().__init__(socket.socket(fileno=fd))
         self.closed = False
         self._lock = threading.Lock()
 
@@ -119,7 +130,7 @@ class Control(Connection):
         except OSError:
             self.closed = True
 
-    def commands(self) -> list[dict[str, Any]]:
+    def commands(self) -> list[Document]:
         """Waiting commands, oldest first; sets `closed` if the launcher has ended."""
         lines = self.lines()
         self.closed = self.closed or lines is None
@@ -142,7 +153,7 @@ class ControlClient(Connection):
             ) from error
         super().__init__(connection)
 
-    def receive(self) -> list[dict[str, Any]] | None:
+    def receive(self) -> list[Document] | None:
         """The objects that have arrived; None once the graph is gone."""
         self.flush()
         lines = self.lines()

@@ -14,7 +14,9 @@ _STARTTIME = 19
 
 def _stat(pid: int) -> list[str]:
     # The name of the program, in parentheses, may hold spaces and parentheses itself.
-    return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
+    text = Path(f"/proc/{pid}/stat").read_text()
+    _, _, behind_name = text.rpartition(")")
+    return behind_name.split()
 
 
 def cpu_s(pid: int) -> float:
@@ -23,14 +25,17 @@ def cpu_s(pid: int) -> float:
     As all functions here, it raises OSError if there is no such process.
     """
     fields = _stat(pid)
-    return (int(fields[_UTIME]) + int(fields[_STIME])) / _TICK_HZ
+    n_ticks = int(fields[_UTIME]) + int(fields[_STIME])
+    return n_ticks / _TICK_HZ
 
 
 def age_s(pid: int) -> float:
     """Seconds since a process was started, one tick of the kernel's clock at least."""
-    up_s = float(Path("/proc/uptime").read_text().split()[0])
-    started_s = int(_stat(pid)[_STARTTIME]) / _TICK_HZ
-    return max(1 / _TICK_HZ, up_s - started_s)
+    up, _ = Path("/proc/uptime").read_text().split()
+    fields = _stat(pid)
+    # Both since the host was started.
+    started_s = int(fields[_STARTTIME]) / _TICK_HZ
+    return max(1 / _TICK_HZ, float(up) - started_s)
 
 
 def resident_bytes(pid: int) -> int:
@@ -41,15 +46,18 @@ def resident_bytes(pid: int) -> int:
 
 def own_bytes(pid: int) -> int:
     """Resident memory of a process, each shared page divided by the number of its users (PSS)."""
-    lines = Path(f"/proc/{pid}/smaps_rollup").read_text().splitlines()
-    return 1024 * next(
-        int(line.split()[1]) for line in lines if line.startswith("Pss:")
-    )
+    text = Path(f"/proc/{pid}/smaps_rollup").read_text()
+    line = next(line for line in text.splitlines() if line.startswith("Pss:"))
+    _, n_kb, _ = line.split()
+    return 1024 * int(n_kb)
 
 
 def host_busy_s() -> float:
     """Processor time that all processes of this host have used since it was started, in seconds."""
     first_line = Path("/proc/stat").read_text().partition("\n")[0]
-    ticks = [int(field) for field in first_line.split()[1:]]
+    _, *fields = first_line.split()
+    ticks = [int(field) for field in fields]
     idle, waits_for_disk = ticks[3:5]
-    return (sum(ticks[:8]) - idle - waits_for_disk) / _TICK_HZ
+    # Behind the first eight stands the time of guests, which is in the first two already.
+    n_busy = sum(ticks[:8]) - idle - waits_for_disk
+    return n_busy / _TICK_HZ

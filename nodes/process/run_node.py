@@ -24,6 +24,7 @@ def main() -> int:
     from .runner import EXIT_CRASH, EXIT_USAGE
 
     loop = Loop(Control())
+    # A launcher that was killed cannot end its nodes: they end themselves.
     watch_parent(os.getppid())
     try:
         loop.run()

@@ -33,6 +33,7 @@ class Scheduling(Settings):
 
     def __post_init__(self) -> None:
         super().__post_init__()
+        # Frozen: nodes of one process are compared by what they state, in any order.
         object.__setattr__(self, "cpus", tuple(sorted(set(self.cpus))))
 
     def check_permitted(self) -> None:

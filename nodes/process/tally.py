@@ -6,6 +6,7 @@ import struct
 from collections.abc import Sequence
 
 _COUNT = struct.Struct("=Q")
+"""A number in the file: 8 bytes, which a processor writes at once. A killed node leaves no half."""
 
 
 class Tally:
@@ -15,14 +16,19 @@ class Tally:
 
     def __init__(self, topics: Sequence[str], fd: int | None = None) -> None:
         self._topics = {topic: k for k, topic in enumerate(topics)}
-        self.fd = os.memfd_create("tally") if fd is None else fd
+        if fd is None:
+            fd = os.memfd_create("tally")
+        self.fd = fd
         size = _COUNT.size * len(topics)
         os.ftruncate(self.fd, size)
         # No byte can be mapped of an empty file.
-        self._numbers = mmap.mmap(self.fd, size) if size else None
+        self._numbers: mmap.mmap | None = None
+        if size:
+            self._numbers = mmap.mmap(self.fd, size)
 
     def set(self, topic: str, n: int) -> None:
         """Set the number of messages published on a topic; of others than stated, none is kept."""
+        # A node of a user's may publish more than it has declared.
         place = self._topics.get(topic)
         if place is not None and self._numbers is not None:
             _COUNT.pack_into(self._numbers, _COUNT.size * place, n)
@@ -37,9 +43,11 @@ class Tally:
 
     def counts(self) -> dict[str, int]:
         """Number of messages of each topic that has some."""
-        content = os.pread(self.fd, _COUNT.size * len(self._topics), 0)
+        size = _COUNT.size * len(self._topics)
+        content = os.pread(self.fd, size, 0)
+        numbers = _COUNT.iter_unpack(content)
         counts = {}
-        for topic, (n,) in zip(self._topics, _COUNT.iter_unpack(content), strict=True):
+        for topic, (n,) in zip(self._topics, numbers, strict=True):
             if n:
                 counts[topic] = n
         return counts

@@ -9,7 +9,6 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -17,6 +16,7 @@ from sparseskin.messages import Message
 from sparseskin.messages.wire import SCHEMAS
 from sparseskin.nodes.errors import SettingsError
 from sparseskin.nodes.node import Context, Node
+from sparseskin.nodes.process.control import Document
 from sparseskin.nodes.recorder.bag.format import (
     FILE_SUFFIX,
     PART_SUFFIX,
@@ -57,6 +57,7 @@ class Recorder(Node[RecorderSettings]):
     """
 
     Settings = RecorderSettings
+    # A graph goes on without its recorder, as on a full disk.
     required = False
 
     def __init__(self, settings: RecorderSettings, context: Context) -> None:
@@ -70,10 +71,8 @@ class Recorder(Node[RecorderSettings]):
         return settings.topics
 
     @classmethod
-    def values_again(
-        cls, settings: RecorderSettings, n_restarts: int
-    ) -> dict[str, Any]:
-        # The file of the previous run is kept.
+    def values_again(cls, settings: RecorderSettings, n_restarts: int) -> Document:
+        # The file of the previous run is kept, whole or not: nothing is written over.
         out = Path(settings.out)
         stem = out.stem.removesuffix(f".restart{n_restarts - 1}")
         return {"out": str(out.with_name(f"{stem}.restart{n_restarts}{FILE_SUFFIX}"))}
@@ -88,17 +87,18 @@ class Recorder(Node[RecorderSettings]):
 
     def step(self, message: Message) -> Iterable[Message]:
         self._guard(lambda: self._write(message))
+        # It publishes nothing.
         return ()
 
     def idle(self) -> None:
         if self._writer is not None:
             self._guard(self._writer.tick)
 
-    def close(self, counts: dict[str, Any]) -> None:
+    def close(self, counts: Document) -> None:
         writer = self._writer
         if writer is not None:
             self._guard(lambda: writer.close(counts))
-        # A late message must not begin a new file.
+        # A late message must not begin a new file, nor add to one that is complete.
         self._closed = True
 
     def status(self) -> str:
@@ -107,7 +107,7 @@ class Recorder(Node[RecorderSettings]):
             text += f" ({self._error})"
         return text
 
-    def report(self) -> dict[str, Any]:
+    def report(self) -> Document:
         recording = {
             "out": self.settings.out,
             "n_messages": self._n_messages,
@@ -122,10 +122,13 @@ class Recorder(Node[RecorderSettings]):
         return self._writer.n_messages
 
     def _write(self, message: Message) -> None:
+        # Made with the first message: a recorder that hears nothing leaves no file.
         if self._writer is None:
             metadata = metadata_of(self.settings.launch, self.settings.source)
             # Offline, where a recording is complete or not at all, chunks are as large as they may.
-            every_s = FLUSH_EVERY_S if self.context.live else math.inf
+            every_s = math.inf
+            if self.context.live:
+                every_s = FLUSH_EVERY_S
             self._writer = BagWriter(
                 Path(self.settings.out), metadata, flush_every_s=every_s
             )
@@ -133,6 +136,7 @@ class Recorder(Node[RecorderSettings]):
 
     def _guard(self, action: Callable[[], None]) -> None:
         """Act on the file; its first error is kept and raised, and ends the recording."""
+        # Raised once: the node logs it, and each later message would repeat it.
         if self._error or self._closed:
             return
         try:

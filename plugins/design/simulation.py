@@ -14,9 +14,9 @@ import itertools
 import math
 import os
 import sys
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import closing
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -261,25 +261,23 @@ def simulated(
 ) -> list[Row]:
     """Return rows with the accuracy of their strategies, each at the rate that it reaches, in the
     first `n_scenes` scenes; in a process each core, with a progress bar on stderr where that is a
-    terminal. Raises SparseskinError as `simulate`.
+    terminal. Raises SparseskinError if a strategy is not possible on the skin.
     """
     mask = grid_of(design)
-    tasks = {
-        k: {
-            "strategy": row.strategy,
-            "mask": mask,
-            "noise": design.noise,
-            "bits": design.adc.bits if row.strategy.reads_single else design.bits,
-            "rate_hz": row.reached_hz,
-            "n_scenes": n_scenes,
-        }
-        for k, row in enumerate(rows)
-    }
+    tasks: dict[tuple[int, int], tuple[Reading, int]] = {}
+    for scene in (TOUCH, *range(n_scenes)):
+        # A task a scene: with one a strategy, all cores but one wait for the slowest, which takes
+        # half of the time of all. Touches take longest, and come first.
+        for k, row in enumerate(rows):
+            bits = design.adc.bits if row.strategy.reads_single else design.bits
+            reading = Reading(row.strategy, mask, design.noise, bits, row.reached_hz)
+            tasks[k, scene] = (reading, scene)
+
     n_workers = min(len(os.sched_getaffinity(0)), len(tasks))
     executor = "serial"
     if n_workers > 1:
         executor = f"process:{n_workers}"
-    finished = computed(executor, _simulate, tasks)
+    finished = computed(executor, figure, tasks)
     # Closed, it ends the workers if one of them fails.
     with closing(finished):
         progress = tqdm(
@@ -290,38 +288,45 @@ def simulated(
             disable=None,
             leave=False,
         )
-        accuracies = {k: future.result() for k, future in progress}
-    return [replace(row, accuracy=accuracies[k]) for k, row in enumerate(rows)]
+        figures = {key: future.result() for key, future in progress}
+
+    simulated_rows = []
+    for k, row in enumerate(rows):
+        dbs = np.array([figures[k, scene] for scene in range(n_scenes)])
+        accuracy = Accuracy(float(np.mean(dbs)), *band(dbs), figures[k, TOUCH])
+        simulated_rows.append(replace(row, accuracy=accuracy))
+    return simulated_rows
 
 
-def _simulate(task: Mapping[str, Any]) -> Accuracy:
-    """Simulate in another process: arguments of `simulate` by name."""
-    return simulate(**task)
+TOUCH = -1
+"""In place of the number of a scene: light touches."""
 
 
-def simulate(
-    strategy: Strategy,
-    mask: Mask,
-    noise: float,
-    bits: int,
-    rate_hz: float,
-    seed: int = 0,
-    n_scenes: int = FEW_SCENES,
-) -> Accuracy:
-    """Simulate a strategy on a skin; `strategy`, `mask`, `noise`, `bits` as of `make_reader`,
-    `seed` of scenes, noise and Phi, the first `n_scenes` (2..15) scenes of `simulation`. Raises
-    SparseskinError if the strategy is not possible on it.
+@dataclass(frozen=True, eq=False)
+class Reading:
+    """A strategy on a skin; `strategy`, `mask`, `noise`, `bits` as of `make_reader`."""
+
+    strategy: Strategy
+    mask: Mask
+    noise: float
+    bits: int
+    rate_hz: float
+
+
+def figure(task: tuple[Reading, int]) -> float:
+    """Mean PSNR of contact frames of a strategy in a scene in dB, or its lightest touch; seed of
+    Phi is the scene's number.
     """
-    dbs = []
-    for k in range(n_scenes):
-        reader = make_reader(strategy, mask, noise, bits, seed * N_SCENES + k)
-        frames = presses(k, mask, noise, rate_hz, seed)
-        dbs.append(np.mean(contact_db(reader, frames)))
-    low, high = band(np.array(dbs))
-    # A reader of its own: those of the scenes have a memory.
-    reader = make_reader(strategy, mask, noise, bits, seed)
-    touch = light_touch(reader, mask, noise, seed)
-    return Accuracy(float(np.mean(dbs)), low, high, touch)
+    reading, scene = task
+    mask = reading.mask
+    noise = reading.noise
+    # A reader of its own for each: it has a memory.
+    seed = max(scene, 0)
+    reader = make_reader(reading.strategy, mask, noise, reading.bits, seed)
+    if scene == TOUCH:
+        return light_touch(reader, mask, noise, seed)
+    frames = presses(scene, mask, noise, reading.rate_hz, seed=0)
+    return float(np.mean(contact_db(reader, frames)))
 
 
 def band(db: Doubles) -> tuple[float, float]:

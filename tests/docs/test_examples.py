@@ -69,6 +69,31 @@ def test_an_example_runs_and_prints_its_result(name, tmp_path, monkeypatch, caps
         assert (tmp_path / "out.png").read_bytes().startswith(b"\x89PNG")
 
 
+@pytest.mark.parametrize(
+    ("name", "package", "line"),
+    [
+        *(
+            (name, "matplotlib", "'sparseskin[charts]'")
+            for name in sorted(WITH_PICTURE)
+        ),
+        ("mujoco_skin", "mujoco", "'sparseskin[mujoco]'"),
+        ("mpi_pool", "mpi4py", "mpi4py"),
+    ],
+)
+def test_an_example_without_its_package_ends_in_one_line_that_names_it(
+    name, package, line, tmp_path, monkeypatch
+):
+    # None in sys.modules: an import raises ModuleNotFoundError, installed or not.
+    monkeypatch.setitem(sys.modules, package, None)
+    for module in [each for each in sys.modules if each.startswith(f"{package}.")]:
+        monkeypatch.setitem(sys.modules, module, None)
+    with pytest.raises(SystemExit) as refusal:
+        run(name, tmp_path, monkeypatch)
+    text = str(refusal.value)
+    assert line in text
+    assert "\n" not in text
+
+
 @pytest.mark.slow
 def test_the_notebook_runs_from_a_csv_to_the_error_over_m(tmp_path, monkeypatch):
     matplotlib = pytest.importorskip("matplotlib")

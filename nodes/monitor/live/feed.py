@@ -26,6 +26,7 @@ from sparseskin.messages.frames import known_forces
 from sparseskin.nodes.monitor.metrics import FrameMetrics
 from sparseskin.nodes.monitor.statistics import COLUMNS, History
 from sparseskin.nodes.numerics.arrays import Floats
+from sparseskin.nodes.process.control import Document
 
 MAX_ANSWERS = 64
 """Answers to requests that are kept for pages."""
@@ -66,7 +67,8 @@ class Start:
             n_done = sum(done for done, _ in counts)
             n_all = sum(of for _, of in counts)
             return cls(n_done, n_all, compiles=True)
-        return cls(len(nodes) - len(waiting), len(nodes), compiles=False)
+        n_done = len(nodes) - len(waiting)
+        return cls(n_done, len(nodes), compiles=False)
 
 
 @dataclass
@@ -96,7 +98,7 @@ class PatchFeed:
     came_s: dict[str, float] = field(default_factory=dict)
     n_maps: int = 0
     history: History = field(default_factory=History)
-    summary: dict[str, Any] = field(default_factory=dict)
+    summary: Document = field(default_factory=dict)
     lost: int = 0
     latency_s: float = 0.0
     ended: bool = False
@@ -151,14 +153,14 @@ class Feed:
         self.changed = threading.Condition()
         self.poses = poses or {}
         self.patches = {patch: PatchFeed() for patch in patches}
-        self.graph: dict[str, Any] | None = None
+        self.graph: Document | None = None
         #: The start of the graph, until all its nodes run for the first time; None after it.
         self.start: Start | None = None
         self._has_started = False
         now_s = time.monotonic()
         self.graph_came_s = now_s
         self.pulse_s = now_s
-        self.answers: deque[tuple[int, dict[str, Any]]] = deque(maxlen=MAX_ANSWERS)
+        self.answers: deque[tuple[int, Document]] = deque(maxlen=MAX_ANSWERS)
         self.n_answers = 0
         self.closed = False
         self.run = secrets.token_hex(4)
@@ -197,7 +199,8 @@ class Feed:
         feed.contacts = contacts
         if contacts.events is not None:
             # One row for the frame, with the number of each kind.
-            counts = np.bincount(contacts.events[:, 2], minlength=len(EVENTS))
+            kinds = contacts.events[:, 2]
+            counts = np.bincount(kinds, minlength=len(EVENTS))
             feed.events.add(now_s, *counts.tolist())
         # Earlier ones are shown with the frame that they belong to.
         if contacts.stamp_ns == feed.stamp_ns:
@@ -205,9 +208,10 @@ class Feed:
 
     def _add_frame(self, feed: PatchFeed, frame: FrameMetrics, now_s: float) -> None:
         messages = (frame.taxels, frame.reconstruction, frame.truth)
-        feed.maps = {
-            each.schema: known_forces(each) for each in messages if each is not None
-        }
+        feed.maps = {}
+        for each in messages:
+            if each is not None:
+                feed.maps[each.schema] = known_forces(each)
         if frame.reconstruction is not None:
             feed.idle = frame.reconstruction.unchanged[0]
             feed.note(frame.reconstruction, now_s)
@@ -215,7 +219,9 @@ class Feed:
         feed.came_s.update(dict.fromkeys(feed.maps, now_s))
         feed.lost = frame.lost
         feed.ended = False
-        figures = [getattr(frame, name) for name in COLUMNS[1:]]
+        # The first column is the time.
+        names = COLUMNS[1:]
+        figures = [getattr(frame, name) for name in names]
         feed.history.add(now_s, *figures)
         self._show(feed)
 
@@ -225,7 +231,9 @@ class Feed:
         nodes = (self.graph or {}).get("nodes", [])
         # Only sources can be paused: the others wait for them.
         sources = [node for node in nodes if "pause" in node["commands"]]
-        return bool(sources) and all(node["state"].get("paused") for node in sources)
+        if not sources:
+            return False
+        return all(node["state"].get("paused") for node in sources)
 
     def pulse(self) -> None:
         """Note that the monitor's own loop is alive."""
@@ -238,7 +246,9 @@ class Feed:
         # A frame that will be complete is shown whole.
         came_s = feed.came_s.get(Reconstruction.schema, -math.inf)
         if now_s - came_s > feed.stale_s:
-            feed.maps = {**feed.maps, message.schema: known_forces(message)}
+            # A new table: pages that are being sent the old one read it on.
+            feed.maps = dict(feed.maps)
+            feed.maps[message.schema] = known_forces(message)
             if isinstance(message, Reconstruction):
                 feed.note(message, now_s)
             feed.came_s[message.schema] = now_s
@@ -247,9 +257,9 @@ class Feed:
     def update(
         self,
         *,
-        summaries: dict[str, dict[str, Any]] | None = None,
-        graph: dict[str, Any] | None = None,
-        answer: dict[str, Any] | None = None,
+        summaries: dict[str, Document] | None = None,
+        graph: Document | None = None,
+        answer: Document | None = None,
         ended: str | None = None,
         closed: bool = False,
     ) -> None:
@@ -271,13 +281,16 @@ class Feed:
             if answer is not None or closed:
                 self.changed.notify_all()
 
-    def _set_graph(self, graph: dict[str, Any]) -> None:
+    def _set_graph(self, graph: Document) -> None:
         # By the state before this one.
         was_paused = self.paused
         now_s = time.monotonic()
         self.graph = graph
         self.graph_came_s = now_s
-        self.start = None if self._has_started else Start.of_nodes(graph["nodes"])
+        # A node that is started again is no start of the graph.
+        self.start = None
+        if not self._has_started:
+            self.start = Start.of_nodes(graph["nodes"])
         self._has_started = self.start is None
         if was_paused and not self.paused:
             # No frame could have come until now.

@@ -53,7 +53,8 @@ class Notices:
 
         if feed.start is not None:
             current.append((START, feed.start.text))
-        for node in (feed.graph or {}).get("nodes", []):
+        graph = feed.graph or {}
+        for node in graph.get("nodes", []):
             current += self._of_node(node, now_s)
         if feed.start is not None:
             # No frame is expected yet.
@@ -75,7 +76,8 @@ class Notices:
         elif was_restarted:
             yield NOTE, f"{name} was restarted."
 
-        if self._risen(f"refused {name}", node["refused"], now_s) and node["refusal"]:
+        n_refused = self._risen(f"refused {name}", node["refused"], now_s)
+        if n_refused and node["refusal"]:
             yield BAD, f"{name} rejects messages: {node['refusal']}"
         if node["said"] and condition != "starting":
             yield NOTE, f"{name} reports: {node['said']}"
@@ -92,12 +94,16 @@ class Notices:
         elif not self._feed.paused:
             yield from _of_ages(patch, now_s)
 
-        if patch.latency_s > max(LATE_S, patch.stale_s) and not patch.ended:
+        # A slow skin may take several frames' time without a queue.
+        most_s = max(LATE_S, patch.stale_s)
+        if patch.latency_s > most_s and not patch.ended:
             late = f"frames are reconstructed {ago(patch.latency_s)} late"
             yield BAD, f"{late}: the graph cannot keep up."
         n_lost = self._risen(f"lost {name}", patch.lost, now_s)
         if n_lost:
-            frames = "frames" if n_lost > 1 else "frame"
+            frames = "frame"
+            if n_lost > 1:
+                frames = "frames"
             yield BAD, f"{n_lost} {frames} lost just now."
 
     def _risen(self, name: str, count: int, now_s: float) -> int:
@@ -126,9 +132,10 @@ def _of_ages(patch: PatchFeed, now_s: float) -> Iterator[Notice]:
     if not patch.came_s:
         yield NOTE, "no frame has arrived yet."
         return
-    ages_s = {schema: now_s - came_s for schema, came_s in patch.came_s.items()}
-    newest_s = min(ages_s.values())
-    reconstructed_s = ages_s.get(Reconstruction.schema)
+    newest_s = now_s - max(patch.came_s.values())
+    reconstructed_s = None
+    if Reconstruction.schema in patch.came_s:
+        reconstructed_s = now_s - patch.came_s[Reconstruction.schema]
     if newest_s > patch.stale_s:
         yield BAD, f"stale: no new frame for {ago(newest_s)}."
     elif reconstructed_s is None:

@@ -28,13 +28,17 @@ def screen(feed: Feed, notices: Notices, status: str) -> str:
         if graph.get("recording"):
             lines.append(f"recording {graph['recording']}")
         nodes = graph.get("nodes", [])
-        states = [f"{node['name']}: {node['condition']}" for node in nodes]
+        states = []
+        for node in nodes:
+            states.append(f"{node['name']}: {node['condition']}")
         lines += textwrap.wrap(", ".join(states), WIDTH)
         lines += [text for _, text in host_lines(graph)]
 
         # What is wrong.
         for tone, text in current:
-            mark = "!!" if tone == BAD else " *"
+            mark = " *"
+            if tone == BAD:
+                mark = "!!"
             lines.append(f"{mark} {text}")
         for name, patch in feed.patches.items():
             if not patch.trusted(now_s):
@@ -48,7 +52,8 @@ def screen(feed: Feed, notices: Notices, status: str) -> str:
             if patch.summary:
                 summaries[name] = patch.summary
         if summaries:
-            lines += summary_table(summaries).split("\n")
+            name = graph.get("name", "")
+            lines += summary_table(name, summaries).split("\n")
     return "\n".join(line[:WIDTH] for line in lines)
 
 

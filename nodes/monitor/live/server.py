@@ -169,10 +169,11 @@ class PageServer(ThreadingHTTPServer):
         """End the connection that has waited longest: whoever holds all of them locks none out."""
         with self._lock:
             # Streams, which have no end of their own, are counted elsewhere.
-            waiting = [c for c, due_s in self._due_s.items() if due_s < math.inf]
-            if waiting:
-                del self._due_s[waiting[0]]
-                _end(waiting[0])
+            for connection, due_s in self._due_s.items():
+                if due_s < math.inf:
+                    del self._due_s[connection]
+                    _end(connection)
+                    return
 
     def handle_error(self, request: Any, client_address: Any) -> None:
         """Ignore broken connections: they are no fault of the graph."""
@@ -200,7 +201,9 @@ def _end(connection: socket.socket) -> None:
 
 
 def _is_equal(text: str, token: str) -> bool:
-    return hmac.compare_digest(text.encode(errors="replace"), token.encode())
+    # In a time that depends on no character: a token cannot be guessed one by one.
+    candidate = text.encode(errors="replace")
+    return hmac.compare_digest(candidate, token.encode())
 
 
 class _RefusedError(Exception):
@@ -263,8 +266,9 @@ class _Handler(BaseHTTPRequestHandler):
 
     def _get(self, url: SplitResult) -> None:
         if url.path == "/stream":
-            patches = parse_qs(url.query).get("patch", [])
-            self._stream(patches[0] if patches else None)
+            # None: the overview of all patches.
+            (patch, *_) = parse_qs(url.query).get("patch", [None])
+            self._stream(patch)
         elif url.path in self.server.files:
             body, kind = self.server.files[url.path]
             self._send(HTTPStatus.OK, body, kind)
@@ -294,7 +298,9 @@ class _Handler(BaseHTTPRequestHandler):
         if not _is_request(request):
             text = "expected {id, node, command, value} as JSON"
             raise _RefusedError(HTTPStatus.BAD_REQUEST, text)
-        self.server.ask({key: request.get(key) for key in (*TEXTS, "value")})
+        # Nothing else of it is passed on.
+        asked = {key: request.get(key) for key in (*TEXTS, "value")}
+        self.server.ask(asked)
         self._send(HTTPStatus.ACCEPTED, b"", "text/plain")
 
     def log_message(self, *args: Any) -> None:
@@ -330,7 +336,7 @@ class _Handler(BaseHTTPRequestHandler):
         if not token:
             return
         name = f"sparseskin-{self.server.port}"
-        in_address = parse_qs(url.query).get("token", [""])[0]
+        (in_address, *_) = parse_qs(url.query).get("token", [""])
         tokens = [in_address, *self._cookies(name)]
 
         # All are compared: the time to an answer says nothing of which one fits.
@@ -367,7 +373,8 @@ class _Handler(BaseHTTPRequestHandler):
             self.send_header("Connection", "close")
             self.end_headers()
             with contextlib.suppress(OSError):
-                for data in StreamReader(feed, self.server.notices, patch).records():
+                reader = StreamReader(feed, self.server.notices, patch)
+                for data in reader.records():
                     self.connection.sendall(data)
 
     def _send(self, status: HTTPStatus, body: bytes, kind: str) -> None:

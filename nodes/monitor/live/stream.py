@@ -17,6 +17,7 @@ from sparseskin.messages import Reconstruction
 from sparseskin.messages.contacts import sum_unit
 from sparseskin.messages.reasons import phrase_of, sentence_of
 from sparseskin.nodes.numerics.arrays import TINY
+from sparseskin.nodes.process.control import Document
 
 from .feed import Feed, PatchFeed
 from .notices import Notices, host_lines
@@ -24,9 +25,11 @@ from .notices import Notices, host_lines
 FRAME_S = 1 / 30
 """Pages are drawn 30 times a second."""
 OVERVIEW_S = 0.1
+"""Time between two maps of a patch in an overview of up to `FULL_RATE`, seconds."""
 FULL_RATE = 32
 """Patches of an overview that is drawn 10 times a second; one of more is drawn less often."""
 STATE_S = 0.1
+"""Time between two states, seconds: ages on the page count on by tenths."""
 MOST = 16
 """Contacts of a patch that are sent: the strongest ones."""
 CONTACT_FIELDS = (
@@ -42,27 +45,31 @@ LABEL = ("label", "share", "age_s", "trusted")
 SLACK_S = 0.005
 """A frame that is early by at most this time is sent, not delayed by another period."""
 
-Part = tuple[dict[str, Any], dict[str, np.ndarray[Any, Any]]]
+Arrays = dict[str, np.ndarray[Any, Any]]
+Part = tuple[Document, Arrays]
+"""A record before it is encoded: its header and its arrays by their names."""
 
 
-def record(
-    header: Mapping[str, Any], arrays: Mapping[str, np.ndarray[Any, Any]]
-) -> bytes:
+def record(header: Mapping[str, Any], arrays: Arrays) -> bytes:
     """One record as bytes; numbers that are not finite become null in the header."""
     # A page reads arrays by these, one after the other, from the data.
-    forms = [
-        [name, array.dtype.str, list(array.shape)] for name, array in arrays.items()
-    ]
+    forms = []
+    data = b""
+    for name, array in arrays.items():
+        shape = list(array.shape)
+        forms.append([name, array.dtype.str, shape])
+        data += np.ascontiguousarray(array).tobytes()
     body = finite({**header, "arrays": forms})
     head = json.dumps(body, separators=(",", ":")).encode()
-    data = b"".join(np.ascontiguousarray(array).tobytes() for array in arrays.values())
-    return struct.pack("<II", len(head), len(data)) + head + data
+    counts = struct.pack("<II", len(head), len(data))
+    return counts + head + data
 
 
 def finite(value: Any) -> Any:
     """The value with None in place of numbers that are not finite."""
-    if isinstance(value, float):
-        return value if math.isfinite(value) else None
+    # JSON has neither NaN nor infinity: a browser refuses what Python writes for them.
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
     if isinstance(value, Mapping):
         return {key: finite(part) for key, part in value.items()}
     if isinstance(value, list | tuple):
@@ -81,16 +88,17 @@ class StreamReader:
         self._notices = notices
         self._patch = patch
         # So that an overview costs no more than one of `FULL_RATE` patches.
-        slower = max(1.0, len(feed.patches) / FULL_RATE)
-        self._period_s = OVERVIEW_S * slower
+        n_rounds = max(1.0, len(feed.patches) / FULL_RATE)
+        self._period_s = OVERVIEW_S * n_rounds
         self._names = list(feed.patches)
         if patch is not None:
             self._period_s = FRAME_S
             self._names = [patch]
+        # What has been sent already: numbers of maps and of rows, and objects by a name.
         self._n_maps = dict.fromkeys(feed.patches, -1)
         self._n_rows = {"rows": 0, "events": 0}
         self._n_answers = feed.n_answers
-        self._sent: dict[str, Any] = {}
+        self._sent: Document = {}
         self._frame_due_s = -math.inf
         self._state_at_s = -math.inf
 
@@ -125,24 +133,28 @@ class StreamReader:
                 feed.n_waiting -= 1
 
     def _has_new_maps(self) -> bool:
-        patches = self._feed.patches
-        return any(patches[name].n_maps != self._n_maps[name] for name in self._names)
+        newest = {name: self._feed.patches[name].n_maps for name in self._names}
+        return any(newest[name] != self._n_maps[name] for name in newest)
 
     def _collect(self, now_s: float, closed: bool) -> Iterator[Part]:
         feed = self._feed
         for number, answer in feed.answers:
             if number > self._n_answers:
-                yield {"kind": "answer", **answer}, {}
+                header = {"kind": "answer", **answer}
+                yield header, {}
         self._n_answers = feed.n_answers
+
         # The last state is sent whenever it comes.
         if closed or now_s >= self._state_at_s + STATE_S - SLACK_S:
             self._state_at_s = now_s
             yield self._state(now_s, closed), {}
         if not closed and now_s < self._frame_due_s:
             return
+
         # The next is due one period after this one was due: delays do not add up.
         due_s = max(self._frame_due_s, now_s - SLACK_S)
         self._frame_due_s = due_s + self._period_s - SLACK_S
+
         for name in self._names:
             patch = feed.patches[name]
             if patch.skin is None:
@@ -165,7 +177,7 @@ class StreamReader:
         is_new = self._is_new(f"map {name}", reconstruction)
         is_new |= self._is_new(f"contacts {name}", contacts)
 
-        arrays: dict[str, np.ndarray[Any, Any]] = {}
+        arrays: Arrays = {}
         if self._patch is not None:
             arrays |= patch.maps
             if reconstruction is not None:
@@ -174,11 +186,14 @@ class StreamReader:
             return
         elif reconstruction is not None:
             arrays[Reconstruction.schema] = reconstruction
-        yield {"kind": "maps", "patch": name, **_contacts(patch, now_s)}, arrays
+        header = {"kind": "maps", "patch": name}
+        header |= _contacts(patch, now_s)
+        yield header, arrays
 
     def _rows(self, patch: PatchFeed, now_s: float) -> Iterator[Part]:
         """New rows of the history and of the events of a patch."""
-        for kind, history in (("rows", patch.history), ("events", patch.events)):
+        histories = {"rows": patch.history, "events": patch.events}
+        for kind, history in histories.items():
             n_first, rows = history.since(self._n_rows[kind])
             if not len(rows):
                 continue
@@ -188,10 +203,11 @@ class StreamReader:
             header = {"kind": kind, "columns": history.columns, "now_s": now_s}
             yield header, {"rows": rows.astype(np.float32)}
 
-    def _state(self, now_s: float, closed: bool) -> dict[str, Any]:
+    def _state(self, now_s: float, closed: bool) -> Document:
         """The current state: a small record, which also shows that the monitor is alive."""
         feed = self._feed
-        header: dict[str, Any] = {
+        patches = {name: self._patch_state(name, now_s) for name in feed.patches}
+        header: Document = {
             "kind": "state",
             "now_s": now_s,
             "closed": closed,
@@ -199,7 +215,7 @@ class StreamReader:
             "paused": feed.paused,
             "start": None,
             "notices": self._notices.all(now_s),
-            "patches": {name: self._patch_state(name, now_s) for name in feed.patches},
+            "patches": patches,
         }
         if feed.start is not None:
             header["start"] = [feed.start.done, feed.start.of]
@@ -209,10 +225,11 @@ class StreamReader:
             header["hosts"] = host_lines(feed.graph or {})
         return header
 
-    def _patch_state(self, name: str, now_s: float) -> dict[str, Any]:
+    def _patch_state(self, name: str, now_s: float) -> Document:
         patch = self._feed.patches[name]
-        state: dict[str, Any] = {
-            "age_s": {key: now_s - came_s for key, came_s in patch.came_s.items()},
+        ages_s = {key: now_s - came_s for key, came_s in patch.came_s.items()}
+        state: Document = {
+            "age_s": ages_s,
             "stale_s": patch.stale_s,
             "lost": patch.lost,
             "ended": patch.ended,
@@ -241,15 +258,18 @@ class StreamReader:
         return is_new
 
 
-def _measured(patch: PatchFeed) -> dict[str, np.ndarray[Any, Any]]:
+def _measured(patch: PatchFeed) -> Arrays:
     """Measurements of the frame shown in 1/127 of its largest, int8: for the eye; {}: not known."""
-    of_frame = [each for each in patch.measurements if each.stamp_ns == patch.stamp_ns]
-    if not of_frame:
+    # A frame that was skipped or lost is not among them.
+    by_stamp = {each.stamp_ns: each for each in patch.measurements}
+    if patch.stamp_ns not in by_stamp:
         return {}
-    y = np.asarray(of_frame[0].y)[0]
+    message = by_stamp[patch.stamp_ns]
+    y = np.asarray(message.y)[0]
     # Measurements of 0 are divided, too.
-    largest = max(float(np.abs(y).max(initial=0)), TINY)
-    levels = np.round(y * (127 / largest))
+    largest = float(np.abs(y).max(initial=0))
+    scale = 127 / max(largest, TINY)
+    levels = np.round(y * scale)
     return {"measurements": levels.astype(np.int8)}
 
 
@@ -257,10 +277,14 @@ def _reason(word: str) -> dict[str, str] | None:
     """A reason and its text; None where none is stated."""
     if not word:
         return None
-    return {"word": word, "phrase": phrase_of(word), "sentence": sentence_of(word)}
+    return {
+        "word": word,
+        "phrase": phrase_of(word),
+        "sentence": sentence_of(word),
+    }
 
 
-def _contacts(patch: PatchFeed, now_s: float) -> dict[str, Any]:
+def _contacts(patch: PatchFeed, now_s: float) -> Document:
     """Contacts of the frame shown: number and total of all, fields of the strongest."""
     contacts = patch.contacts
     if contacts is None:
@@ -270,8 +294,10 @@ def _contacts(patch: PatchFeed, now_s: float) -> dict[str, Any]:
         return {}
 
     # In the order of their numbers, so that a list of them does not jump.
-    strongest = np.argsort(-contacts.total, kind="stable")[:MOST]
-    rows = strongest[np.argsort(contacts.id[strongest])]
+    by_force = np.argsort(-contacts.total, kind="stable")
+    strongest = by_force[:MOST]
+    by_number = np.argsort(contacts.id[strongest])
+    rows = strongest[by_number]
     document = {
         "n": contacts.id.size,
         "sum": float(contacts.total.sum()),
@@ -292,7 +318,7 @@ def _skin(name: str, patch: PatchFeed, pose: Sequence[float] | None) -> Part:
         header[field] = getattr(skin, field)
     header["sum_unit"] = sum_unit(skin.unit)
 
-    arrays: dict[str, np.ndarray[Any, Any]] = {}
+    arrays: Arrays = {}
     if skin.mask is not None:
         arrays["mask"] = skin.mask.view(np.uint8)
     if skin.points is not None:

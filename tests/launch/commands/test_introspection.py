@@ -383,7 +383,7 @@ def test_stop_ends_the_graph_as_ctrl_c_does(graph, run, run_json, refused, folde
     label = f"path_40-{graph.process.pid}"
     assert run("stop") == f"{label} has ended: {', '.join(NODES)}\n"
     stdout, _ = graph.ended(130)
-    assert "skin: " in stdout  # the table
+    assert ": skin" in stdout  # the table
     assert graph.survivors() == {}
     assert "no graph runs" in refused("stop")
     check(json.loads((folder / "summary.json").read_text()))

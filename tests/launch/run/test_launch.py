@@ -160,7 +160,7 @@ def test_an_interrupt_drains_the_graph_reports_and_leaves_nothing(start, tmp_pat
     program.wait_for("[launch] ready")
     program.process.send_signal(signal.SIGINT)
     stdout, _ = program.ended(130)
-    assert "skin: path_40" in stdout
+    assert "path_40: skin" in stdout
     frames = json.loads((tmp_path / "out.json").read_text())["patches"]["skin"][
         "frames"
     ]
@@ -264,7 +264,7 @@ def test_readings_outside_the_range_are_clipped_but_not_silently(start, tmp_path
     assert "the source ended after 10 of the 12 frames" in stderr
     assert (tmp_path / "closed").exists()
     assert "readings clipped to the range: 20 below 0 N (lowest -1)" in stderr
-    assert " skin: upside:frames " in stdout
+    assert " replay: skin, upside:frames " in stdout
     summary = json.loads((tmp_path / "out.json").read_text())
     assert summary["nodes"]["sensor"]["clipped"] == 200
     line = "20 above 2.5 N (highest 3.5), 180 below 0 N (lowest -10)"

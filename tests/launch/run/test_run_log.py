@@ -15,7 +15,7 @@ from sparseskin.launch.run import run_log
 from sparseskin.launch.run.run_log import RunLog, time_text
 from sparseskin.launch.run.terminal import Terminal
 from sparseskin.nodes.errors import SparseskinError
-from sparseskin.nodes.files import user_folder
+from sparseskin.nodes.files import state_folder
 
 NOW_S = 1_700_000_000.125
 
@@ -187,15 +187,15 @@ def test_folders_are_the_users_own_and_without_a_home_directory_the_remedy_is_na
 
     monkeypatch.setattr(pwd, "getpwuid", unknown)
     monkeypatch.setenv("XDG_STATE_HOME", "/s")
-    assert user_folder("state") == Path("/s/sparseskin")
+    assert state_folder() == Path("/s/sparseskin")
     monkeypatch.setenv("XDG_STATE_HOME", "relative")
     monkeypatch.setenv("HOME", "/h")
-    assert user_folder("state") == Path("/h/.local/state/sparseskin")
+    assert state_folder() == Path("/h/.local/state/sparseskin")
     monkeypatch.delenv("HOME")
     with pytest.raises(
         SparseskinError, match="no home directory is known; set XDG_STATE_HOME"
     ):
-        user_folder("state")
+        state_folder()
 
 
 def test_a_run_that_fails_reports_where_its_logs_are(start, tmp_path):

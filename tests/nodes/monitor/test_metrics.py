@@ -35,6 +35,7 @@ from sparseskin.nodes.monitor.statistics import (
     Quantiles,
 )
 from sparseskin.nodes.monitor.table import (
+    FEW,
     WIDTH,
     doubts_text,
     status_line,
@@ -185,7 +186,7 @@ def test_without_taxels_frames_are_counted_by_their_measurements(answer_first):
     assert summary["latency_ms"]["p50"] == pytest.approx(3.0, rel=3e-3)
     assert summary["bytes_in"] == 0
     assert summary["bytes_out"] > 0
-    table = summary_table({"skin": summary})
+    table = summary_table("path_40", {"skin": summary})
     assert "PSNR" not in table
     assert "taxels" not in table
 
@@ -263,7 +264,9 @@ def test_frames_that_are_never_reconstructed_do_not_accumulate():
 def test_the_table_states_of_how_many_frames_its_figures_are():
     frames = [message for seq in range(3) for message in frame(seq, 1.0, 1.0, 1.0)]
     stated = "reconstructed 3, lost 0"
-    whole = summary_table({"skin": metrics_of(skin(), PHI, SOLVER, *frames).summary()})
+    whole = summary_table(
+        "path_40", {"skin": metrics_of(skin(), PHI, SOLVER, *frames).summary()}
+    )
     assert f"{stated}\n" in whole
     # The truth of the last frame is missing.
     cut = [
@@ -271,8 +274,27 @@ def test_the_table_states_of_how_many_frames_its_figures_are():
         for m in frames
         if not (isinstance(m, Truth) and m.stamp_ns == frames[-1].stamp_ns)
     ]
-    part = summary_table({"skin": metrics_of(skin(), PHI, SOLVER, *cut).summary()})
+    part = summary_table(
+        "path_40", {"skin": metrics_of(skin(), PHI, SOLVER, *cut).summary()}
+    )
     assert f"{stated};\n            figures of 2 (the others came too late)\n" in part
+
+
+@pytest.mark.parametrize(
+    ("graph", "title"),
+    [("torso", "torso: skin, a scene"), ("a scene", "a scene: skin")],
+)
+def test_a_table_is_named_by_what_was_launched_and_by_what_was_sensed(graph, title):
+    summary = metrics_of(skin(), PHI, SOLVER, *frame(0, 1.0, 1.0, 1.0)).summary()
+    table = summary_table(graph, {"skin": summary})
+    assert table.split("\n")[0].strip("=") == f" {title} "
+
+
+@given(st.integers(FEW + 1, 60), st.from_regex(r"[a-z_0-9]{1,20}", fullmatch=True))
+def test_a_table_of_many_patches_is_named_by_what_was_launched(n, name):
+    summary = metrics_of(skin(), PHI, SOLVER, *frame(0, 1.0, 1.0, 1.0)).summary()
+    title = summary_table(name, {f"p{k}": summary for k in range(n)}).split("\n")[0]
+    assert title.strip("=") == f" {name}: {n} patches "
 
 
 def test_times_and_bytes_and_names():
@@ -294,10 +316,10 @@ def test_times_and_bytes_and_names():
 
 
 def test_a_graph_that_saw_nothing_has_a_line_in_place_of_a_table():
-    table = summary_table({"skin": PatchMetrics().summary()})
-    assert table == "skin: ended before the first frame"
-    table = summary_table({"skin": metrics_of(skin(), PHI).summary()})
-    assert table == "skin: a scene: ended before the first frame"
+    table = summary_table("path_40", {"skin": PatchMetrics().summary()})
+    assert table == "path_40: skin: ended before the first frame"
+    table = summary_table("path_40", {"skin": metrics_of(skin(), PHI).summary()})
+    assert table == "path_40: skin, a scene: ended before the first frame"
 
 
 def test_settings_that_change_during_the_run_are_listed():
@@ -322,7 +344,7 @@ def test_settings_that_change_during_the_run_are_listed():
         (1, "bits", 32, 8),
         (2, "sigma_mid", 0.0, 0.5),
     ]
-    table = summary_table({"skin": summary})
+    table = summary_table("path_40", {"skin": summary})
     listed = (
         "settings changed during the run: M 7 -> 5 at frame 1, preset paper -> skin at frame 1, "
         "iterations 4 -> 9 at frame 1, bits 32 -> 8 at frame 1, 1 more; figures cover all of them"
@@ -385,7 +407,7 @@ def test_frames_that_the_solver_does_not_trust_are_counted():
         "contact": {"frames": 4, "untrusted": 1, "trusted_share": 0.75},
     }
     assert "dB | trusted 75.0 % | latency" in status_line({"skin": metrics}, 200.0)
-    table = summary_table({"skin": summary})
+    table = summary_table("path_40", {"skin": summary})
     words = [
         row.split()
         for row in table.splitlines()

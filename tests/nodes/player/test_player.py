@@ -91,16 +91,13 @@ def test_a_part_is_half_open(recording, settings, first, count):
     assert stamps == [BEGIN_NS + 10 * MS * (first + k) for k in range(count)]
 
 
-def test_chosen_topics_alone_are_played_under_new_names(recording):
-    settings = Player.Settings(
-        file=str(recording[0]),
-        topics=("/skin/skin", "/skin/taxels"),
-        remap=("/skin:=/left",),
-    )
-    assert Player.outputs(settings) == ("/left/skin", "/left/taxels")
+def test_chosen_topics_alone_are_played(recording):
+    topics = ("/skin/skin", "/skin/taxels")
+    settings = Player.Settings(file=str(recording[0]), topics=topics)
+    assert Player.outputs(settings) == topics
     node = Player(settings, Context("player", ManualClock()))
-    assert [m.topic for m in node.start()] == ["/left/skin"]
-    assert {m.topic for frame in play(node) for m in frame} == {"/left/taxels"}
+    assert [m.topic for m in node.start()] == ["/skin/skin"]
+    assert {m.topic for frame in play(node) for m in frame} == {"/skin/taxels"}
 
 
 @pytest.mark.parametrize(
@@ -108,9 +105,7 @@ def test_chosen_topics_alone_are_played_under_new_names(recording):
     [
         ({"file": "none.mcap"}, "none.mcap: no such file"),
         ({"schemas": ("taxel",)}, "did you mean 'taxels'"),
-        ({"remap": ("/skin",)}, "expected FROM:=TO"),
-        ({"remap": ("/skin/taxels:=/skin/truth",)}, "a topic ends in its schema"),
-        ({"remap": ("/skin:=/Left",)}, "no name"),
+        ({"topics": ("/left/skin",)}, "/left/skin: not in the file .known: /skin/"),
         ({"keep_stamps": True, "loop": True}, "cannot be combined with loop"),
     ],
 )

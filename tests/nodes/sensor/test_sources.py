@@ -6,6 +6,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from damaged import refusal
+from hypothesis import given
+from hypothesis import strategies as st
 
 from sparseskin.messages import SkinState, Taxels
 from sparseskin.nodes import extensions
@@ -120,6 +122,14 @@ def test_a_part_of_a_recording_is_read_at_its_part_of_the_rate(tmp_path):
     assert sensor.status() == "a: frame 3 of 3"
     with pytest.raises(SourceError, match=r"a: first: 10: allowed: 0\.\.9"):
         Sensor(SensorSettings(**stated, first=10), Context("sensor", ManualClock()))
+
+
+@given(st.integers(2, 40), st.integers(2, 40))
+def test_patches_of_a_body_are_64_x_64_unless_their_sides_are_stated(n_rows, n_cols):
+    simulated = {"n_rows": n_rows, "n_cols": n_cols}
+    stated = sources.find_address("scene:hug", simulated=simulated)
+    assert stated.n_taxels() == n_rows * n_cols
+    assert sources.find_address("scene:hug").n_taxels() == 64 * 64
 
 
 @pytest.mark.usefixtures("offered")

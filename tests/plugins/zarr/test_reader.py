@@ -201,6 +201,12 @@ class TestRefused:
         with pytest.raises(SourceError, match=message):
             read(folder)
 
+    def test_a_table_without_frames(self, tmp_path):
+        store = str(tmp_path / "empty.zarr")
+        zarr.create_array(store=store, shape=(0, 4), dtype="f4", zarr_format=2)
+        with pytest.raises(SourceError, match=r"holds no frame$"):
+            read(store, n_rows=1, unit="N")
+
     def test_links(self, folder, tmp_path):
         (folder / "pad" / "0.0.0").rename(tmp_path / "elsewhere")
         (folder / "pad" / "0.0.0").symlink_to(tmp_path / "elsewhere")

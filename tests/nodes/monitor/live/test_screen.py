@@ -89,7 +89,7 @@ def lines_of(graph):
 def test_status_and_figures_are_those_of_the_line_and_of_the_summary(clock):
     graph = filled(clock)
     lines = lines_of(graph)
-    table = summary_table({"skin": graph.feed.patches["skin"].summary}).split("\n")
+    table = summary_table("", {"skin": graph.feed.patches["skin"].summary}).split("\n")
     assert lines[-len(table) :] == table
     assert " ".join(lines[: -len(table)]).endswith(STATUS.strip())
 

@@ -323,6 +323,23 @@ def test_lines_in_are_frames_out_and_drops_by_name(tmp_path):
         assert drop in account
 
 
+@FORGIVING
+@given(
+    n_settings=st.integers(1, 6),
+    n_frames=st.integers(7, 20),
+    n_cols=st.integers(2, 5),
+    n_words=st.integers(6, 9),
+)
+def test_settings_before_a_table_may_have_more_cells_than_its_lines(
+    tmp_path, n_settings, n_frames, n_cols, n_words
+):
+    words = ",".join(f"word{k}" for k in range(n_words))
+    line = ",".join(map(str, range(n_cols)))
+    text = f"{words}\n" * n_settings + f"{line}\n" * n_frames
+    source = read(tmp_path, text, n_rows=1, n_cols=n_cols)
+    assert source.frames.shape == (n_frames, 1, n_cols)
+
+
 def test_a_folder_of_frames_is_read_in_the_order_of_its_numbers(tmp_path):
     for k in (2, 10, 1):
         np.savetxt(tmp_path / f"frame_{k}.txt", np.full((3, 2), k), fmt="%d")

@@ -59,6 +59,32 @@ def test_of_three_axes_per_taxel_the_normal_one_is_read(
         np.testing.assert_array_equal(arranged(layout, axes, numbers).ravel(), expected)
 
 
+@given(st.integers(1, 12), st.sampled_from(["x", "y", "z", "X", "Z"]))
+def test_of_stated_columns_those_of_the_stated_channel_are_read(n, channel):
+    names = tuple(f"{letter}{k}" for letter in "xyz" for k in range(n))
+    layout = Layout(n_rows=1, n_cols=n, columns=",".join(names), channel=channel)
+    frame = arranged(layout, [Axis(3 * n, "", names)], np.arange(3 * n))
+    np.testing.assert_array_equal(
+        frame.ravel(), n * "xyz".index(channel.lower()) + np.arange(n)
+    )
+
+
+@pytest.mark.parametrize(
+    ("names", "columns", "may_be_others"),
+    [
+        (("s0", "s1", "s2", "s3"), "", False),
+        (("a", "b", "c", "d"), "a,b,c,d", False),
+        (("a", "b", "c", "d"), "", True),
+    ],
+)
+def test_columns_are_asked_for_where_neither_names_nor_the_user_state_them(
+    names, columns, may_be_others
+):
+    with pytest.raises(UnstatedError) as refusal:
+        arranged(Layout(columns=columns), [Axis(4, "", names)], np.zeros(4))
+    assert ("or columns if" in str(refusal.value)) == may_be_others
+
+
 @given(SIDES, SIDES, st.data())
 def test_names_are_ordered_by_their_numbers(n_rows, n_cols, data):
     n = n_rows * n_cols

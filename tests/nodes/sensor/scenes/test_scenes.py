@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from sparseskin.messages.skin import CONTACT_FRACTION, PAPER_F_MAX_N, Skin
 from sparseskin.nodes.errors import SourceError
-from sparseskin.nodes.sensor.scenes.bodies import wooden_cube
+from sparseskin.nodes.sensor.scenes.bodies import build_sole, slab, wooden_cube
 from sparseskin.nodes.sensor.scenes.contact import GRAVITY_M_S2, Bed, RigidBody
 from sparseskin.nodes.sensor.scenes.scenes import SKIN as GRID_SKIN
 from sparseskin.nodes.sensor.scenes.scenes import TAXEL_RADIUS_M, open_scene
@@ -282,6 +282,30 @@ def test_a_step_is_of_second_order_on_a_bed_that_stays_loaded():
 
 
 SHAPE = (40, 40)
+
+
+@given(
+    st.floats(0.01, 0.15),
+    st.floats(0.01, 0.15),
+    *[st.floats(-0.08, 0.08)] * 2,
+    st.floats(-math.pi, math.pi),
+)
+def test_each_taxel_over_which_a_body_is_belongs_to_its_bed(
+    length_m, width_m, x_m, y_m, yaw_rad
+):
+    # Off its middle: the ends of a body are as far as its longer half.
+    bounds = (-0.2 * length_m, 0.8 * length_m, -0.7 * width_m, 0.3 * width_m)
+    sole = build_sole([slab(*bounds, 0.0)], bounds, 0.0)
+    terrain = Terrain(GRID_SKIN, SHAPE, sole, yaw_rad, ("z",))
+    _, taxels = terrain.under((x_m, y_m))
+    rows, cols = np.divmod(np.arange(math.prod(SHAPE)), SHAPE[1])
+    x = (cols - 19.5) * GRID_SKIN.pitch_m - x_m
+    y = (rows - 19.5) * GRID_SKIN.pitch_m - y_m
+    along = math.cos(yaw_rad) * x + math.sin(yaw_rad) * y
+    across = math.cos(yaw_rad) * y - math.sin(yaw_rad) * x
+    is_under = (along > bounds[0]) & (along < bounds[1])
+    is_under &= (across > bounds[2]) & (across < bounds[3])
+    assert set(np.flatnonzero(is_under)) <= set(taxels)
 
 
 @pytest.mark.parametrize(("axis", "sign"), [("pitch", -1.0), ("roll", 1.0)])
