@@ -6,8 +6,10 @@
 # The second command prints the address of the page. Other commands: docker run --rm sparseskin sparseskin --help
 FROM debian:bookworm-slim
 
+# Further packages of Debian, such as the compilers that a dev container has.
+ARG PACKAGES=""
 RUN apt-get update \
-    && apt-get install --yes --no-install-recommends make python3 python3-venv socat \
+    && apt-get install --yes --no-install-recommends make python3 python3-venv socat $PACKAGES \
     && rm -rf /var/lib/apt/lists/*
 
 RUN useradd --create-home skin
