@@ -111,9 +111,7 @@ def _draw_points(axes: Axes, points: pd.DataFrame, noisy_db: float) -> None:
     across = axes.get_yaxis_transform()
     text = "all taxels read, no solver"
     # At the slow end: what takes long and is less accurate than that is of no use.
-    axes.text(
-        0.99, noisy_db, text, fontsize=8, va="top", ha="right", transform=across
-    )
+    axes.text(0.99, noisy_db, text, fontsize=8, va="top", ha="right", transform=across)
 
     paces = points[points["label"] == ROTATED].sort_values("pace")
     default = paces.iloc[-1]
