@@ -7,6 +7,7 @@ from __future__ import annotations
 import os
 import sys
 from collections.abc import Callable, Iterable
+from functools import partial
 from importlib import import_module
 from types import ModuleType
 
@@ -63,7 +64,8 @@ def store_bytecode(modules: Iterable[ModuleType]) -> None:
 
 def main() -> None:
     """Prepare an installation for the first start of its nodes."""
-    compile_loops("auto", print)
+    # Through a pipe, too, the first line is written before the minute that it announces.
+    compile_loops("auto", partial(print, flush=True))
     for name in USUAL_MODULES:
         import_module(name)
     store_bytecode(list(sys.modules.values()))

@@ -116,9 +116,9 @@ def _draw(out: Path, rows: pd.DataFrame, quick: bool) -> str:
         "places. Blue: the reconstruction has a higher PSNR than the readings; grey: not computed"
     )
     methods = (*SUM_SOLVERS, *LARGER)
-    n_columns = 3
     n = len(methods)
-    size_in = (3.1 * n_columns, 2.6 * -(-n // n_columns) + 0.6)
+    # One row: every panel has the same axes.
+    size_in = (2.4 * n + 1.0, 3.2)
     deltas = np.linspace(0.02, 0.85, 80)
     threshold = [weak_threshold(delta) for delta in deltas]
     # Columns are as wide as the logarithm of M/N has them.
@@ -126,7 +126,7 @@ def _draw(out: Path, rows: pd.DataFrame, quick: bool) -> str:
     x_edges = np.exp(_edges(np.log(shares).tolist()))
     y_edges = _edges(QUICK_RHOS if quick else RHOS)
     style: dict[str, Any] = {"cmap": "RdBu", "vmin": -15.0, "vmax": 15.0}
-    with Chart(out, "phase_skin", caption, n, n_columns, size_in=size_in) as chart:
+    with Chart(out, "phase_skin", caption, n, n, size_in=size_in, sharey=True) as chart:
         for axes, method in zip(chart.panels, methods, strict=True):
             gains = _gains(rows[rows["method"] == method], quick)
             axes.set_facecolor("0.85")

@@ -290,7 +290,15 @@ def test_the_container_starts_a_graph_and_forwards_the_port_of_its_page():
     ).groups()
     port = str(MonitorSettings().port)
     assert f"TCP:127.0.0.1:{port}" in shlex.split(forwards)
-    assert f"EXPOSE {port}\n" in text
+    # The page has its own port on one interface, so the forwarder listens on another one, which
+    # the printed address leads to through the port that `docker run` publishes.
+    exposed = re.search(r"^EXPOSE (\d+)$", text, re.M)[1]
+    assert exposed != port
+    assert f"TCP-LISTEN:{exposed}," in forwards
+    published = f"docker run --rm --init -p 127.0.0.1:{port}:{exposed} sparseskin"
+    install = (ROOT / "docs" / "start" / "install.md").read_text(encoding="utf-8")
+    assert published in text
+    assert published in install
     of_editor = json.loads((ROOT / ".devcontainer" / "devcontainer.json").read_text())
     assert of_editor["forwardPorts"] == [int(port)]
     assert cli.main([*shlex.split(launches)[1:], "--dry-run"]) == 0

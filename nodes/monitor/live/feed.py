@@ -52,7 +52,7 @@ class Start:
     def text(self) -> str:
         """For a person, in a line."""
         if self.compiles:
-            return f"starting: compiling once on this machine, {self.done} of {self.of}"
+            return f"starting: compiling once for this installation, {self.done} of {self.of}"
         return f"starting: {self.done} of {self.of} nodes"
 
     @classmethod

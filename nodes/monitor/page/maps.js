@@ -21,6 +21,7 @@ const PRESSED = 0.2; // part of the peak beyond which a taxel is zoomed to
 const WIDE = 2; // columns per row beyond which the other maps stand below the large one
 const AROUND = 2, LEAST_CROP = 0.2; // taxels around it; part of the skin that is shown at least
 const INSET = 2; // pixels of the inset for each taxel
+const SEPARATOR = "\u00a0· "; // of figures in a caption: a line may end with it, none begins with it
 
 // A map as the grid of its taxels, or the part of it that is pressed.
 class GridView {
@@ -211,7 +212,7 @@ export class Maps {
     const names = skin.has_truth ? Object.keys(TITLES)
       : skin.has_taxels ? ["taxels", "reconstruction", "error"] : ["reconstruction"];
     for (const name of names) {
-      const title = name === "error" && !skin.has_truth ? "Difference from the taxels" : TITLES[name];
+      const title = name === "error" && !skin.has_truth ? "Difference" : TITLES[name];
       const made = this.panels[name] = panel(this.view, title, name);
       this.view.attach?.(made.canvas, () => this.drawSoon(), signal);
       made.heading.addEventListener("click", () => this.enlarge(name));
@@ -321,16 +322,16 @@ export class Maps {
     const peak = highest(map);
     const noise = name === "taxels" ? TOUCHED * sigma : 0;
     const centre = name !== this.large ? ""
-      : ` · ${peak > Math.max(CONTACT * fMax, noise) ? this.view.centre(map, total, peak) : "no contact"}`;
-    const missing = missingOf(map), note = missing ? ` · ${missing} readings missing` : "";
-    return `peak ${brief(peak, unit)} · total ${brief(total, sums)}${centre}${note}`;
+      : `${SEPARATOR}${peak > Math.max(CONTACT * fMax, noise) ? this.view.centre(map, total, peak) : "no contact"}`;
+    const missing = missingOf(map), note = missing ? `${SEPARATOR}${missing} readings missing` : "";
+    return `peak ${brief(peak, unit)}${SEPARATOR}total ${brief(total, sums)}${centre}${note}`;
   }
 
   errorText(map) {
     let sum = 0;
     for (const value of map) sum += value * value || 0;
     const n = (this.mask ? this.mask.reduce((a, b) => a + b, 0) : map.length) - missingOf(map);
-    return `peak ${brief(highest(map), this.skin.unit)} · RMS ${brief(Math.sqrt(sum / n),
+    return `peak ${brief(highest(map), this.skin.unit)}${SEPARATOR}RMS ${brief(Math.sqrt(sum / n),
       this.skin.unit)}`;
   }
 

@@ -52,8 +52,8 @@ const CHARTS = [
     ["good", "latency_ms", (f) => f.p50, "p50"], ["noisy", "latency_ms", (f) => f.p99, "p99"]] },
   { id: "solve", title: "Solve time", unit: "ms", lines: [
     ["good", "solve_ms", (f) => f.p50, "p50"], ["noisy", "solve_ms", (f) => f.p99, "p99"]] },
-  { id: "rate", title: "Frames per second", unit: "", lines: [
-    ["good", "rate", (f) => f.n, "reconstructed"], ["bad", "lost", (f) => f.last, "lost"]], asked: true },
+  { id: "rate", title: "Rate", unit: "Hz", lines: [
+    ["good", "rate", (f) => f.n, "frames"], ["bad", "lost", (f) => f.last, "lost"]], asked: true },
 ];
 const WIDTHS = { total: 0.25, contacts: 0.25, pressed: 0.25, psnr_noisy_db: 0.25, psnr_db: 0.25, latency_ms: 1, solve_ms: 1, lost: 0.25, rate: 1,
   ...Object.fromEntries(Object.keys(EVENTS).map((name) => [name, 0.5])) };

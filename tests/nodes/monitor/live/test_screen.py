@@ -359,7 +359,7 @@ def test_the_start_of_a_graph_is_no_fault_and_is_counted_until_all_nodes_run(des
         return Notices(desk.feed).all(desk.clock.advance(0.0))
 
     assert news("running", "starting") == [(START, "starting: 1 of 2 nodes")]
-    line = "starting: compiling once on this machine, 3 of 10"
+    line = "starting: compiling once for this installation, 3 of 10"
     assert news("starting", "running", compiled=(3, 10)) == [(START, line)]
     assert (
         screen(desk.feed, Notices(desk.feed), "").split("\n")[0].endswith(" starting")
