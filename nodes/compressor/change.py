@@ -58,17 +58,21 @@ class ChangeWatch:
         self._departures = Departures(
             skin, FALSE_SENDS / self.length, n_windows=N_WINDOWS
         )
-        shape = n_patches, skin.n_rows, skin.n_cols
         n_scores = self._departures.squares.n
         self._windows = Windows(n_patches, n_scores, N_WINDOWS)
         self.sending = np.ones(n_patches, dtype=np.bool_)
         #: Blocks that are still to be sent, the present one too.
         self._blocks = np.full(n_patches, FIRST_BLOCKS)
+
+        shape = n_patches, skin.n_rows, skin.n_cols
+        #: Mean readings, and number of frames that they are the mean of.
         self._reference = np.zeros(shape, dtype=np.float32)
         self._n = np.full(n_patches, self.length)
+        #: Sums of the readings of a block so far, and of its first half; its number of frames.
         self._total = np.zeros(shape, dtype=np.float32)
         self._half_total = np.zeros(shape, dtype=np.float32)
         self._k = np.zeros(n_patches, dtype=np.intp)
+        # Zeros until the first block ends: nothing is compared with them.
         self._bounds = Bounds(
             np.zeros((n_patches, N_WINDOWS, n_scores), dtype=np.float32),
             np.zeros(shape, dtype=np.float32),
@@ -91,7 +95,9 @@ class ChangeWatch:
         halves = np.flatnonzero(self.sending & (self._k == self.length // 2))
         if halves.size:
             self._half_total[halves] = self._total[halves]
+
         ends = self._k == np.where(self.sending, self.length, BLOCK)
+        # Before any block ends: its end may stop the sending.
         quiet = np.flatnonzero(ends & ~self.sending)
         for patch in np.flatnonzero(ends & self.sending).tolist():
             self._end_sent(patch)
@@ -109,9 +115,11 @@ class ChangeWatch:
     def _departs(self, readings: Floats) -> Mask:
         """True where a patch that is not sent departs from its reference."""
         difference = readings - self._reference
+        # Variance of the reference, in that of a reading.
         noise = 1 / self._n
         scores = self._departures.scores(difference)
         departs = self._windows.alarms(scores, self._bounds.squares, noise)
+
         energy = self._departures.energy(difference, self._bounds)
         departs |= energy > self._bounds.energy * (1 + noise)
         departs &= ~self.sending
@@ -123,14 +131,15 @@ class ChangeWatch:
         half = length // 2
         mean = self._total[patch] / length
         early = self._half_total[patch] / half
-        late = (self._total[patch] - self._half_total[patch]) / (length - half)
+        late_total = self._total[patch] - self._half_total[patch]
+        late = late_total / (length - half)
         self._blocks[patch] -= 1
         self._total[patch] = 0.0
         self._k[patch] = 0
-
         if self._blocks[patch] > 0:
             return
 
+        # Also where the halves disagree: noise depends on the forces, which have changed.
         bounds = self._departures.bounds(mean[np.newaxis])
         self._bounds.squares[patch] = bounds.squares
         self._bounds.weights[patch] = bounds.weights
@@ -152,10 +161,10 @@ class ChangeWatch:
         self._total[patches] = 0.0
         self._k[patches] = 0
 
+        # A reference that has learnt enough stays: it would follow a slow change.
         joins = n < LEARNT * self.length
-        share = (BLOCK / (n[joins] + BLOCK)).astype(np.float32)
         joining = patches[joins]
-        self._reference[joining] += share[:, np.newaxis, np.newaxis] * (
-            means[joins] - self._reference[joining]
-        )
+        share = (BLOCK / (n[joins] + BLOCK)).astype(np.float32)
+        correction = means[joins] - self._reference[joining]
+        self._reference[joining] += share[:, np.newaxis, np.newaxis] * correction
         self._n[joining] += BLOCK

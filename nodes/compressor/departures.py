@@ -56,7 +56,9 @@ _T_SQUARE = np.geomspace(1e-4, 0.4999, 500)
 
 def normal_cdf(t: Doubles) -> Doubles:
     """Distribution function of a standard normal variable, float64 of any shape."""
-    values = [0.5 * math.erfc(-each / math.sqrt(2)) for each in t.reshape(-1).tolist()]
+    # numpy has no error function, and scipy's takes long to import.
+    arguments = -t.reshape(-1) / math.sqrt(2)
+    values = [0.5 * math.erfc(argument) for argument in arguments.tolist()]
     return np.array(values).reshape(t.shape)
 
 
@@ -64,9 +66,10 @@ def cumulants_clipped(t: Doubles) -> Doubles:
     """Cumulant generating function of max(0, z) - its mean, at t. Derived: its expectation of
     exp(t max(0, z)) is 1/2 + exp(t^2 / 2) cdf(t).
     """
+    # By their logarithms: exp(t^2 / 2) itself overflows within `_T`.
     positive = t**2 / 2 + np.log(normal_cdf(t))
-    values: Doubles = np.logaddexp(math.log(0.5), positive) - CLIPPED_MEAN * t
-    return values
+    moments: Doubles = np.logaddexp(math.log(0.5), positive)
+    return moments - CLIPPED_MEAN * t
 
 
 def _cumulants_of_square(clips: bool) -> Doubles:
@@ -78,7 +81,10 @@ def _cumulants_of_square(clips: bool) -> Doubles:
     of_normal: Doubles = -0.5 * np.log(shrunk)
     if not clips:
         return of_normal
+
+    # z <= 0 is clipped: its square is that of the mean, whatever z is.
     at_zero = _T_SQUARE * CLIPPED_MEAN**2
+    # For z > 0, completing the square leaves a normal density with a shifted mean.
     shift = 2 * _T_SQUARE * CLIPPED_MEAN / np.sqrt(shrunk)
     positive = at_zero + shift**2 / 2 + of_normal + np.log(normal_cdf(-shift))
     return np.logaddexp(math.log(0.5) + at_zero, positive)
@@ -90,7 +96,8 @@ def _clipped() -> tuple[Doubles, Doubles]:
     below = normal_cdf(force)
     density = CLIPPED_MEAN * np.exp(-(force**2) / 2)
     mean = force * below + density
-    return mean, (force**2 + 1) * below + force * density - mean**2
+    mean_square = (force**2 + 1) * below + force * density
+    return mean, mean_square - mean**2
 
 
 _MEANS, _VARIANCES = _clipped()
@@ -119,13 +126,17 @@ def variance_clipped(weights: Weights, n_frames: int, z: float) -> float:
     The function K(t) / t^2 of clipped noise grows with t > 0, and is larger than that of -t: no
     weights of one sum of squares have a larger sum of K than equal ones of the largest size.
     """
-    total = np.zeros_like(_T)
-    parts = (weights.inside, weights.n_inside), (1 - weights.inside, weights.n_outside)
-    for part, n_weights in parts:
-        if part > 0:
+    cumulants = np.zeros_like(_T)
+    inside = weights.inside, weights.n_inside
+    outside = 1 - weights.inside, weights.n_outside
+    for share, n_weights in (inside, outside):
+        if share > 0:
             n_terms = n_frames * n_weights
-            total += n_terms * cumulants_clipped(_T * math.sqrt(part / n_terms))
-    bound = float(((total + z * z / 2) / _T).min())
+            weight = math.sqrt(share / n_terms)
+            cumulants += n_terms * cumulants_clipped(_T * weight)
+
+    # A normal sum of this bound has z standard deviations in it.
+    bound = float(((cumulants + z * z / 2) / _T).min())
     return bound * bound / (z * z)
 
 
@@ -134,15 +145,16 @@ def energy_bound(n_touched: float, n_untouched: float, z: float) -> float:
     `n_untouched` with clipped noise, exceeded as often as z by a standard normal variable. For
     normal noise it is at least the quantile of a chi-square distribution, but for 1 %.
     """
-    t = _T_SQUARE
-    # Of clipped noise the variance is 0.3408: its argument is larger by that.
-    scaled = CLIPPED * t
-    of_normal = -0.5 * np.log1p(-2 * scaled)
-    cumulants = n_touched * of_normal + n_untouched * _K_SQUARE_CLIPPED
-    if not n_untouched:
-        scaled = t
+    if n_untouched:
+        # The variance of clipped noise is 0.3408: a square over it has an argument larger by that.
+        arguments = CLIPPED * _T_SQUARE
+        of_normal = -0.5 * np.log1p(-2 * arguments)
+        cumulants = n_touched * of_normal + n_untouched * _K_SQUARE_CLIPPED
+    else:
+        arguments = _T_SQUARE
         cumulants = n_touched * _K_SQUARE
-    return float(((cumulants + z * z / 2) / scaled).min())
+    bounds = (cumulants + z * z / 2) / arguments
+    return float(bounds.min())
 
 
 class Squares:
@@ -157,19 +169,20 @@ class Squares:
         self.spans: list[slice] = []
         self._shape = shape
         self._shapes: list[tuple[int, int]] = []
-        begin = 0
+        self.n = 0
         side = 1
         while True:
+            # Squares at the last rows and columns may reach beyond the grid.
             rows, cols = (-(-n_cells // side) for n_cells in shape)
-            if most is None or rows * cols <= most:
+            n_squares = rows * cols
+            if most is None or n_squares <= most:
                 self.levels.append(side)
                 self._shapes.append((rows, cols))
-                self.spans.append(slice(begin, begin + rows * cols))
-                begin += rows * cols
-            if rows == cols == 1:
+                self.spans.append(slice(self.n, self.n + n_squares))
+                self.n += n_squares
+            if n_squares == 1:
                 break
             side *= 2
-        self.n = begin
 
     def sums(self, grids: Floats) -> Floats:
         """Sums of grids: float32, shape (k, n_rows, n_cols) to (k, n)."""
@@ -178,18 +191,20 @@ class Squares:
         level = grids
         side = 1
         levels = zip(self.levels, self.spans, self._shapes, strict=True)
-        for of_level, span, shape in levels:
-            while side < of_level:
+        for level_side, span, (n_rows, n_cols) in levels:
+            # Levels that are left out are pooled all the same: the next one is made of them.
+            while side < level_side:
                 level = _pooled(level)
                 side *= 2
-            sums[:, span] = level.reshape(k, shape[0] * shape[1])
+            sums[:, span] = level.reshape(k, n_rows * n_cols)
         return sums
 
     def of_cells(self, level: int) -> Indices:
         """Number of the square of a level that each cell of the grid lies in, flat."""
         rows, cols = np.divmod(np.arange(math.prod(self._shape)), self._shape[1])
         side = self.levels[level]
-        numbers: Indices = rows // side * self._shapes[level][1] + cols // side
+        _, squares_of_row = self._shapes[level]
+        numbers: Indices = rows // side * squares_of_row + cols // side
         return numbers
 
 
@@ -202,6 +217,7 @@ def _pooled(grids: Floats) -> Floats:
         padded = np.zeros(even, dtype=grids.dtype)
         padded[:, :n_rows, :n_cols] = grids
         grids = padded
+
     rows = grids[:, ::2] + grids[:, 1::2]
     pooled: Floats = rows[:, :, ::2] + rows[:, :, 1::2]
     return pooled
@@ -260,32 +276,37 @@ class Departures:
         self._cells = np.flatnonzero(self._exists)
         self._clips = skin.clips_noise
         self._end = skin.sigma_end
-        sigmas = skin.sigma_mid, skin.sigma_end
-        self._noise = NoiseModel(skin.f_max, *sigmas, clips=self._clips)
+        self._noise = NoiseModel(
+            skin.f_max, skin.sigma_mid, skin.sigma_end, clips=self._clips
+        )
         self._phis = phis
 
-        # Half of the false alarms each; windows of 2, 4 ... frames double those of one at most.
+        # Squares and energy have half of the false alarms each. Windows of 2, 4 ... frames double
+        # those of one at most.
         quantile = NormalDist().inv_cdf
         n_sides = 1 if one_sided else 2
-        self._z = -quantile(chance / 2 / n_sides / min(n_windows, 2) / self.squares.n)
+        n_tests = n_sides * min(n_windows, 2) * self.squares.n
+        self._z = -quantile(chance / 2 / n_tests)
         self._z_energy = -quantile(chance / 2)
+
+        #: Number of taxels of each square.
         self._count = self.squares.sums(self._exists[np.newaxis].astype(np.float32))[0]
-        # Weights are those of the first subset, to which the others are alike.
-        self._scales = [_inverse(self._norms(phi)) for phi in phis[1:]]
-        norms, weights = self._of_readings()
-        if phis:
-            norms, weights = self._of_measurements(phis[0])
-        self._scales.insert(0, _inverse(norms))
+        sums = [self._of_measurements(phi) for phi in phis]
+        if not phis:
+            sums = [self._of_readings()]
+        self._scales = [_inverse(norms) for norms, _ in sums]
         self._products: list[Floats] = []
         if most is not None:
             self._products = [
                 self._product(phi, scale)
                 for phi, scale in zip(phis, self._scales, strict=True)
             ]
-        self._inside = np.array([each.inside for each in weights], dtype=np.float32)
-        self._inside = np.repeat(
-            self._inside, [s.stop - s.start for s in self.squares.spans]
-        )
+
+        # Weights are those of the first subset, to which the others are alike.
+        _, weights = sums[0]
+        n_squares = [span.stop - span.start for span in self.squares.spans]
+        inside = np.array([of_level.inside for of_level in weights], dtype=np.float32)
+        self._inside = np.repeat(inside, n_squares)
         self._excess = self._excess_of(weights)
 
     def scores(self, differences: Floats, subset: int = 0) -> Floats:
@@ -306,6 +327,8 @@ class Departures:
         k = len(differences)
         weighted = differences * bounds.weights
         products = weighted.reshape(k, -1) * differences.reshape(k, -1)
+        # In float64: of thousands of terms, a float32 sum would lose the small ones.
+        # In float64: of thousands of terms, a float32 sum would lose the small ones.
         sums: Doubles = products.sum(axis=1, dtype=np.float64)
         return sums
 
@@ -314,24 +337,28 @@ class Departures:
         variances = np.square(self._noise.sigma(reference)) * self._exists
         untouched = np.zeros(reference.shape, dtype=np.bool_)
         if self._clips:
-            variances *= np.interp(reference / self._end, _MEANS, _VARIANCES).astype(
-                np.float32
-            )
+            # The tables are of noise with a deviation of 1; a reference is a mean of clipped ones.
+            clipped_part = np.interp(reference / self._end, _MEANS, _VARIANCES)
+            variances *= clipped_part.astype(np.float32)
             untouched = self._exists & (reference < _MEANS[-1] * self._end)
 
+        # Where few weights carry a score, untouched taxels count for more than their variance.
         of_score = self._of_scores(variances)
-        share = self._of_scores(untouched.astype(np.float32))
-        of_windows = of_score[:, np.newaxis] + np.float32(self._end**2) * (
-            self._excess * share[:, np.newaxis]
-        )
+        untouched_share = self._of_scores(untouched.astype(np.float32))
+        excess = self._excess * untouched_share[:, np.newaxis]
+        of_windows = of_score[:, np.newaxis] + np.float32(self._end**2) * excess
         limits: Floats = np.float32(self._z) * np.sqrt(of_windows)
-        return Bounds(limits, *self._of_energy(variances, untouched))
+
+        weights, energy = self._of_energy(variances, untouched)
+        return Bounds(limits, weights, energy)
 
     def _of_scores(self, values: Floats) -> Floats:
         """Means of the values of taxels, (k, n_rows, n_cols), by their parts of scores: (k, n)."""
         local = self.squares.sums(values)
+        # The last square is the whole grid.
         mean = local[:, -1:] / self._count[-1]
         local /= np.maximum(self._count, 1)
+        # The part `inside` of a score comes from its own square, the rest from all taxels.
         mixed: Floats = mean + self._inside * (local - mean)
         return mixed
 
@@ -341,7 +368,8 @@ class Departures:
         z = self._z_energy
         n_untouched = np.count_nonzero(untouched, axis=(1, 2))
         if not self._phis:
-            pairs = zip((n - n_untouched).tolist(), n_untouched.tolist(), strict=True)
+            n_touched = n - n_untouched
+            pairs = zip(n_touched.tolist(), n_untouched.tolist(), strict=True)
             energy = np.array([energy_bound(*pair, z) for pair in pairs])
             weights = np.zeros_like(variances)
             np.divide(1, variances, out=weights, where=variances > 0)
@@ -350,14 +378,16 @@ class Departures:
         # Differing variances are those of fewer, larger terms (Satterthwaite): the spread.
         phi = self._phis[0]
         mean = variances.sum(axis=(1, 2)) / n
-        spread = 1 + phi.m / n * (
-            np.square(variances).sum(axis=(1, 2)) / n / mean**2 - 1
-        )
-        terms = np.stack([1 - n_untouched / n, n_untouched / n]) * phi.m / spread
-        pairs = zip(*terms.tolist(), strict=True)
+        mean_square = np.square(variances).sum(axis=(1, 2)) / n
+        spread = 1 + phi.m / n * (mean_square / mean**2 - 1)
+        shares = np.stack([1 - n_untouched / n, n_untouched / n])
+        n_terms = shares * phi.m / spread
+        pairs = zip(*n_terms.tolist(), strict=True)
         energy = spread * [energy_bound(*pair, z) for pair in pairs]
-        of_sum = np.float32(1 / phi.lipschitz) / mean
-        return of_sum[:, np.newaxis].astype(np.float32), energy
+
+        # Measurements mix taxels: all have the mean variance, at most `lipschitz` times as much.
+        weights = np.float32(1 / phi.lipschitz) / mean
+        return weights[:, np.newaxis].astype(np.float32), energy
 
     def _back_projected(self, measurements: Floats, phi: Phi) -> Floats:
         """Phi' d on the grid: (k, m) to (k, n_rows, n_cols), 0 where no taxel is."""
@@ -375,15 +405,17 @@ class Departures:
         for level, span in enumerate(self.squares.spans):
             numbers = np.arange(span.stop - span.start)[:, np.newaxis]
             squares = self.squares.of_cells(level)[self._cells] == numbers
+            # The sum of Phi' d over a square is the product of d with Phi times the square.
             rows.append(phi.forward(squares.astype(np.float32)))
-        product: Floats = (np.concatenate(rows) * scale[:, np.newaxis]).T
-        return np.ascontiguousarray(product)
+        scaled: Floats = np.concatenate(rows) * scale[:, np.newaxis]
+        return np.ascontiguousarray(scaled.T)
 
     def _of_readings(self) -> tuple[Doubles, list[Weights]]:
         """Norms of the sums of readings, (n,), and weights of each level."""
         n = self._cells.size
         sizes = [min(side * side, n) for side in self.squares.levels]
-        return np.sqrt(self._count), [Weights(n_inside=size) for size in sizes]
+        weights = [Weights(n_inside=size) for size in sizes]
+        return np.sqrt(self._count), weights
 
     def _of_measurements(self, phi: Phi) -> tuple[Doubles, list[Weights]]:
         """Norms of the sums over squares, (n,), and weights of each level: those that are the least
@@ -395,40 +427,42 @@ class Departures:
             n_squares = span.stop - span.start
             is_single = self.squares.levels[level] == 1
             if not is_single and n_squares * self._exists.size > MOST_WEIGHTS:
+                # Phi' Phi lengthens no vector by more than its largest eigenvalue.
                 norms[span] = phi.lipschitz * np.sqrt(self._count[span])
                 weights.append(Weights())
                 continue
-            # A row a square: its norm, and its own weights as of `Weights`.
+
             facts = self._facts(phi, level, n_squares)
             norms[span] = facts[:, 0]
-            seen = facts[facts[:, 1] > 0, 1:]
-            if not len(seen):
-                seen = np.ones((1, 3))
-            weights.append(Weights(seen[:, 0].max(), *seen[:, 1:].min(axis=0)))
+            # A square that no measurement reads has no weights.
+            measured = facts[facts[:, 1] > 0, 1:]
+            if not len(measured):
+                measured = np.ones((1, 3))
+            inside = measured[:, 0].max()
+            n_inside, n_outside = measured[:, 1:].min(axis=0)
+            weights.append(Weights(inside, n_inside, n_outside))
         return norms, weights
 
     def _facts(self, phi: Phi, level: int, n_squares: int) -> Doubles:
         """Norm and `Weights` of the squares of a level, float64 (n_squares, 4)."""
-        square = self.squares.of_cells(level)[self._cells]
+        square_of_taxel = self.squares.of_cells(level)[self._cells]
         facts = np.zeros((n_squares, 4))
         layout = block_layout(phi)
         if self.squares.levels[level] > 1 or layout is None:
             for begin in range(0, n_squares, AT_ONCE):
                 numbers = np.arange(begin, min(begin + AT_ONCE, n_squares))
-                facts[numbers] = _facts_of(phi, square == numbers[:, np.newaxis])
+                squares = square_of_taxel == numbers[:, np.newaxis]
+                facts[numbers] = _facts_of(phi, squares)
             return facts
 
-        # The taxels of a block have the same weights in another order.
+        # Single taxels: those of a block have the same weights in another order, so that its first
+        # one stands for all of them.
         begins = np.cumsum(layout.sizes) - layout.sizes
         taxels = layout.permutation[begins]
         of_block = _facts_of(phi, np.arange(phi.n) == taxels[:, np.newaxis])
         block = np.repeat(np.arange(len(layout.sizes)), layout.sizes)
-        facts[square[layout.permutation]] = of_block[block]
+        facts[square_of_taxel[layout.permutation]] = of_block[block]
         return facts
-
-    def _norms(self, phi: Phi) -> Doubles:
-        """Norms of the sums over squares by a further row subset, (n,)."""
-        return self._of_measurements(phi)[0]
 
     def _excess_of(self, weights: Sequence[Weights]) -> Floats:
         """Variance of an untouched taxel beyond 0.3408, (n_windows, n), in the mean of frames."""
@@ -444,10 +478,10 @@ class Departures:
 
 def _inverse(norms: Doubles) -> Floats:
     """Inverses of norms, float32; 0 of what is not measured."""
-    is_seen = norms > 1e-6 * norms.max()
-    return np.divide(1, norms, out=np.zeros_like(norms), where=is_seen).astype(
-        np.float32
-    )
+    # Smaller norms are the rounding of a square that no measurement reads.
+    is_measured = norms > 1e-6 * norms.max()
+    inverses = np.divide(1, norms, out=np.zeros_like(norms), where=is_measured)
+    return inverses.astype(np.float32)
 
 
 def _facts_of(phi: Phi, squares: Mask) -> Doubles:
@@ -455,15 +489,20 @@ def _facts_of(phi: Phi, squares: Mask) -> Doubles:
     weights = phi.adjoint(phi.forward(squares.astype(np.float32)))
     powers = np.square(weights, dtype=np.float64)
     total = powers.sum(axis=1)
-    facts = [np.sqrt(total)]
-    for part in (powers * squares, powers * ~squares):
-        of_part = part.sum(axis=1)
-        if len(facts) == 1:
-            facts.append(of_part / np.maximum(total, TINY))
-        # Those of no weight are as good as infinitely many.
-        facts.append(of_part / np.maximum(part.max(axis=1), TINY))
-        facts[-1][of_part <= TINY] = np.inf
-    return np.stack(facts, axis=1)
+    inside = powers * squares
+    share_inside = inside.sum(axis=1) / np.maximum(total, TINY)
+    n_inside = _n_equal(inside)
+    n_outside = _n_equal(powers * ~squares)
+    return np.stack([np.sqrt(total), share_inside, n_inside, n_outside], axis=1)
+
+
+def _n_equal(powers: Doubles) -> Doubles:
+    """Least number of equal weights with the sum of each row of squared weights, (k, n): (k,)."""
+    sums = powers.sum(axis=1)
+    numbers: Doubles = sums / np.maximum(powers.max(axis=1), TINY)
+    # Those of no weight are as good as infinitely many.
+    numbers[sums <= TINY] = np.inf
+    return numbers
 
 
 class Windows:
@@ -501,13 +540,17 @@ class Windows:
         alarms = np.zeros(len(scores), dtype=np.bool_)
         for window in range(self._n_windows):
             n = 1 << window
+            # The error of a reference is the same in all frames of its row subset: it adds up.
+            # The error of a reference is the same in all frames of its row subset: it adds up.
             n_alike = max(1.0, n / self._cycle)
             widened = np.sqrt(n * (1 + n_alike * noise)).astype(np.float32)
             size = total if one_sided else np.abs(total)
             exceeds = size > limits[:, window] * widened[:, np.newaxis]
             alarms |= np.logical_or.reduce(exceeds, axis=1)
+
             if window + 1 == self._n_windows:
                 break
+            # A bit of the number of frames: set, the next window is at its half.
             if self._n_frames >> window & 1:
                 self._halves[window] = total
                 break

@@ -43,7 +43,7 @@ from sparseskin.nodes.compressor.phi.rotation import (
 )
 from sparseskin.nodes.errors import PhiError, RefusedError, SettingsError
 from sparseskin.nodes.node import Context, Node
-from sparseskin.nodes.numerics.arrays import Floats, Mask
+from sparseskin.nodes.numerics.arrays import Floats, Indices, Mask
 from sparseskin.nodes.numerics.compiled import use_compiled
 from sparseskin.nodes.settings import PatchesSettings, naming, setting
 
@@ -135,9 +135,10 @@ class CompressorSettings(PatchesSettings):
         with naming("phi"):
             made_by = phi_class(self.phi)
         if self.n_patches > 1 and phi_fact(made_by, "choice"):
-            fault = f"phi: {self.phi} chooses other rows for each patch"
-            allowed = "a Phi that all patches share, as sbhe"
-            raise SettingsError(f"{fault}; allowed for several patches: {allowed}")
+            raise SettingsError(
+                f"phi: {self.phi} chooses other rows for each patch; "
+                "allowed for several patches: a Phi that all patches share, as sbhe"
+            )
         # A function that makes a Phi shows its rows only once it is called.
         if self.rows == ROTATING and isinstance(made_by, type):
             check_rotates(made_by, self.phi)
@@ -250,7 +251,8 @@ class Compressor(Node[CompressorSettings]):
         self._rows = settings.rows  # in use: resolved once the skin is known
         #: The first message by a matrix: those of later frames are like it.
         self._first: Measurements | None = None
-        self._cells: np.ndarray[tuple[int], np.dtype[np.intp]] | None = None
+        #: Flat numbers of the cells that have a taxel; None: all have.
+        self._cells: Indices | None = None
         self._silence = Silence(settings.n_patches)
 
     @classmethod
@@ -279,6 +281,7 @@ class Compressor(Node[CompressorSettings]):
             return
         rows, m = settings.rows_and_m(n)
         made_by = phi_class(settings.phi)
+        # A fault of M is one of the setting that states it.
         key = "ratio" if settings.m is None else "m"
         with naming(key):
             block, _ = settings.block_and_rule()
@@ -304,16 +307,17 @@ class Compressor(Node[CompressorSettings]):
         # Readers cannot count the frames of a silence that nothing ends.
         unsent = self._silence.end()
         if unsent is not None:
+            # The subset of that frame: the present one is of the next.
             phi = self._subsets[self._subset - 1]
-            yield self._compress(
-                unsent, phi, np.ones(self.settings.n_patches, dtype=np.bool_)
-            )
+            patches = np.ones(self.settings.n_patches, dtype=np.bool_)
+            yield self._compress(unsent, phi, patches)
 
     def change(self, settings: CompressorSettings) -> Iterable[Message]:
         old_settings = self.settings
         self.settings = settings
         if self._state is None:
             return ()
+
         # Neither changes Phi: readers need no new one, and the row subsets go on.
         of_old_phi = replace(settings, bits=old_settings.bits, quiet=old_settings.quiet)
         if of_old_phi == old_settings and self._subsets:
@@ -321,6 +325,7 @@ class Compressor(Node[CompressorSettings]):
             if settings.quiet != old_settings.quiet:
                 self._listen()
             return ()
+
         try:
             return (self._learn_skin(self._state, self.context.clock.now_ns()),)
         # A user's own Phi may raise anything.
@@ -409,6 +414,7 @@ class Compressor(Node[CompressorSettings]):
         """Raise RefusedError unless a frame is one of the skin that is known."""
         if self._state is None:
             raise RefusedError(f"{taxels.topic}: the skin is not known yet")
+        # Row k of the arrays is patch k, here and there.
         if taxels.names != self.settings.patches:
             raise RefusedError(
                 f"{taxels.topic}: of other patches than this node serves"
@@ -442,6 +448,7 @@ class Compressor(Node[CompressorSettings]):
             "quiet": self._silence.n_frames,
             "unchanged": tuple((~patches).tolist()),
         }
+
         # A Phi that chooses its rows for each frame sends the choice along.
         choice = phi_fact(phi, "choice")
         if choice:

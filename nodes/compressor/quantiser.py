@@ -25,7 +25,9 @@ def quantised(y: Floats, bits: int) -> Quantised:
     top = largest_code(bits)
     largest = max(float(np.abs(y).max()), SMALLEST)
     step = np.float32(largest / top)
+
     # In float64: at 16 bits the rounding of a float32 quotient would show.
-    steps = np.rint(np.divide(y, step, dtype=np.float64))
-    codes = np.clip(steps, -top, top).astype(np.int32)
+    quotients = np.divide(y, step, dtype=np.float64)
+    # The step was rounded to float32: with 24 bits the largest code may come out 1 too large.
+    codes = np.clip(np.rint(quotients), -top, top).astype(np.int32)
     return Quantised.of(codes, bits, float(step))

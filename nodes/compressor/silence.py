@@ -65,6 +65,8 @@ class Silence:
         self._unsent = None
         if self._watch is None:
             return self._all
+
+        # The watch sees every frame, sent or not: its references are means of frames in a row.
         send = self._watch.to_send(taxels.forces)
         if self._is_due(taxels):
             self._n_due = self._cycle
@@ -93,6 +95,7 @@ class Silence:
         """True if a frame is sent whatever it reads: after the period, or where the sensor states
         something else of its readings than before.
         """
+        # The first frame has none before it.
         if self._sent is None or taxels.reason != self._sent.reason:
             return True
         if bits_of(taxels) != bits_of(self._sent):
