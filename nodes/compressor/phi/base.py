@@ -208,6 +208,7 @@ class Phi(ABC):
         """State the grid of the taxels, bool (n_rows, n_cols), True where one exists, by which some
         kinds arrange their rows. Raises PhiError if they are not n, or the kind does not allow it.
         """
+        # A mask of another skin would put each measurement on other taxels.
         n = np.count_nonzero(exists)
         if n != self.n:
             raise PhiError(f"{self.kind}: n = {self.n}, but {n} taxels exist")
@@ -218,7 +219,9 @@ class Phi(ABC):
 
     def dense(self) -> npt.NDArray[np.float64]:
         """Return the explicit matrix, float64, shape (m, n): by default row by row by `adjoint`."""
-        return self.adjoint(np.eye(self.m, dtype=np.float32)).astype(np.float64)
+        # Phi^T of the i-th unit vector is row i.
+        rows = self.adjoint(np.eye(self.m, dtype=np.float32))
+        return rows.astype(np.float64)
 
     def describe(self) -> dict[str, Any]:
         """Return the arguments of `make_phi` that make it again."""
@@ -241,6 +244,7 @@ def phi_fact(phi: object, name: str) -> Any:
 
 def block_layout(phi: object) -> BlockLayout | None:
     """As the method of `Phi`, of a user's own too."""
+    # Of a class that only has the interface nothing is known but its operators.
     if isinstance(phi, Phi):
         return phi.block_layout()
     return None
@@ -257,21 +261,26 @@ def follow(phi: Phi, **codes: Code | None) -> None:
         if field != choice and code is not None:
             fault = f"{phi.kind}: measurements with {field}"
             raise PhiError(f"{fault}; allowed: a phi that chooses its rows by them")
-    if choice:
-        code = codes.get(choice)
-        if code is None:
-            raise PhiError(
-                f"{phi.kind}: the measurements come without the {choice} of their rows"
-            )
-        phi.follow(code)
+    if not choice:
+        return
+
+    code = codes.get(choice)
+    if code is None:
+        raise PhiError(
+            f"{phi.kind}: the measurements come without the {choice} of their rows"
+        )
+    phi.follow(code)
 
 
 def phi_class(kind: str) -> Callable[..., Any]:
     """The class of a kind, as `make_phi` takes it. Raises PhiError if there is none."""
     prefix, colon, parameter = kind.partition(":")
+    # "module:Class" of a user's own has a colon, too, and another word before it.
     home = _WITH_PARAMETER.get(prefix + colon)
     if home is None:
         return find_class("phi", kind, KINDS, PhiError)
+
+    # Imported only where it is named: a file of matrices needs scipy, which loads slowly.
     cls: Callable[..., Any] = find_callable(home, PhiError)(parameter)
     return cls
 
@@ -285,11 +294,13 @@ def is_built_in(kind: str) -> bool:
 
 def check_parameters(n: int, m: int, seed: int, block: int) -> None:
     """Raise PhiError, naming the parameter, its value and what is allowed."""
+    # Types first: the ranges compare numbers.
     for name, value in (("n", n), ("m", m), ("seed", seed), ("block", block)):
         if not is_whole(value):
             raise PhiError(
                 f"phi: {name} = {value!r} is not allowed; allowed: a whole number"
             )
+
     # A power of two has one bit set.
     is_power = block >= 1 and not block & (block - 1)
     for name, value, is_allowed, allowed in (
@@ -311,6 +322,7 @@ def fingerprint_of(
     # Type and shape first: other arrays with the same bytes are another matrix.
     digest = hashlib.sha256(f"{kind} {n} {m} {block}".encode())
     for array in arrays:
+        # Indices have 32 bits on some machines and 64 on others.
         wire = "<f4" if array.dtype.kind == "f" else "<i4"
         digest.update(f" {wire} {array.shape} ".encode())
         digest.update(np.ascontiguousarray(array, dtype=wire).tobytes())
@@ -319,9 +331,11 @@ def fingerprint_of(
 
 def block_of(kind: str, block: int | None) -> int:
     """Size of the Hadamard blocks: the stated one, or that of the kind; PhiError as `phi_class`."""
-    if block is None:
-        block = getattr(phi_class(kind), "default_block", BLOCK)
-    return block
+    if block is not None:
+        return block
+    # A class of the user's own need not have one.
+    default: int = getattr(phi_class(kind), "default_block", BLOCK)
+    return default
 
 
 @checked(PhiError)
@@ -358,6 +372,7 @@ def make_phi(
     if rule not in RULES:
         allowed = ", ".join(map(str, RULES))
         raise PhiError(f"phi: rule = {rule!r} is not allowed; allowed: {allowed}")
+
     # A class of the user's own need not take a rule.
     parameters = {"n": n, "m": m, "seed": seed, "block": block}
     if rule != SUMS and getattr(cls, "has_rules", False):
@@ -369,12 +384,14 @@ def make_phi(
             f'phi "{kind}" does not take n, m, seed, block: {cause}'
         ) from cause
     _check_made(kind, phi, n, m)
+    # It has the interface, and need not be a subclass.
     matrix: Phi = phi
     return matrix
 
 
 def _check_made(kind: str, phi: Any, n: int, m: int) -> None:
     """Raise PhiError unless an object, of a class of the user's own, is a Phi of m x n."""
+    # All of it at once: who writes a class would else meet its names one by one.
     missing = [name for name in _INTERFACE if not hasattr(phi, name)]
     if missing:
         raise PhiError(

@@ -55,8 +55,9 @@ class GaussianPhi(Phi):
         The last bits of a linear algebra library then do not reach the solver's step size.
         """
         rows = self.dense()
-        largest = np.linalg.eigvalsh(rows @ rows.T)[-1]
-        return math.ceil(float(largest) * 1e6) / 1e6
+        # Eigenvalues come in ascending order.
+        largest = float(np.linalg.eigvalsh(rows @ rows.T)[-1])
+        return math.ceil(largest * 1e6) / 1e6
 
     def dense(self) -> npt.NDArray[np.float64]:
         """Return the explicit matrix, float64, shape (m, n)."""

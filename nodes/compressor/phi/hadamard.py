@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable, Sequence
 from typing import Any, TypeAlias
 
@@ -58,12 +59,12 @@ def side_by_side(sizes: Sequence[int]) -> tuple[Indices, npt.NDArray[np.int64]]:
     groups = []
     columns = []
     start = 0
-    for size in dict.fromkeys(sizes):
-        count = list(sizes).count(size)
-        index = np.arange(start, start + size * count, dtype=np.intp)
-        columns.append(index.reshape(count, size).T.ravel())
+    for size, count in Counter(sizes).items():
+        stop = start + size * count
+        of_blocks = np.arange(start, stop, dtype=np.intp).reshape(count, size)
+        columns.append(of_blocks.T.ravel())
         groups.append((start, size, count))
-        start += size * count
+        start = stop
     return np.concatenate(columns), np.array(groups, dtype=np.int64)
 
 
@@ -82,19 +83,25 @@ class BlockHadamard:
     """
 
     def __init__(self, sizes: list[int]) -> None:
-        self.order_in, self.order_out = np.empty((2, sum(sizes)), dtype=np.intp)
+        n = sum(sizes)
+        self.order_in: Indices = np.empty(n, dtype=np.intp)
+        self.order_out: Indices = np.empty(n, dtype=np.intp)
         self._groups: list[tuple[slice, int]] = []  # place, and number of stages
         start = 0
-        for size in dict.fromkeys(sizes):
-            group = slice(start, start + size * sizes.count(size))
+        for size, count in Counter(sizes).items():
+            stop = start + size * count
+            group = slice(start, stop)
             # A stage moves the first bit of a place behind its last one. So the bits of an index
             # within its block, the lowest first, lie before the number of the block, then behind.
-            index = np.arange(group.start, group.stop)
-            bits = index.reshape(-1, max(size // 2, 1), min(size, 2))
+            n_high = max(size // 2, 1)
+            n_low = min(size, 2)
+            bits = np.arange(start, stop).reshape(count, n_high, n_low)
             self.order_in[group] = bits.transpose(2, 1, 0).ravel()
             self.order_out[group] = bits.transpose(0, 2, 1).ravel()
-            self._groups.append((group, size.bit_length() - 1))
-            start = group.stop
+
+            n_stages = size.bit_length() - 1
+            self._groups.append((group, n_stages))
+            start = stop
 
     def program(self, v: Floats, scratch: Floats, back: bool = False) -> list[Call]:
         """The calls that transform v, float32 (n,) as `scratch`, in place from `order_in` to
@@ -104,10 +111,13 @@ class BlockHadamard:
         for group, n_stages in self._groups:
             source = v[group]
             target = scratch[group]
+
+            # The transpose of a stage reads where the stage writes.
             half = source.size // 2
-            halves = np.s_[:half, half:]
-            in_turn = np.s_[0::2, 1::2]
-            reads, writes = (in_turn, halves) if back else (halves, in_turn)
+            reads = slice(half), slice(half, None)
+            writes = slice(0, None, 2), slice(1, None, 2)
+            if back:
+                reads, writes = writes, reads
             for _ in range(n_stages):
                 low, high = (source[part] for part in reads)
                 sums, differences = (target[part] for part in writes)
@@ -139,6 +149,7 @@ class CompiledHadamard:
         columns, self._groups = side_by_side(sizes)
         parts = []
         for start, size, count in self._groups.tolist():
+            # Side by side: row i holds the columns i of all blocks of a size.
             of_size = columns[start : start + size * count].reshape(size, count)
             parts.append(of_size[_bit_order(size)].ravel())
         self.order: Indices = np.concatenate(parts)
@@ -158,7 +169,8 @@ def _bit_order(size: int) -> Indices:
     places = np.arange(size, dtype=np.intp)
     index = places & 1
     for k in range(1, n_bits):
-        index |= (places >> k & 1) << (n_bits - k)
+        bit = places >> k & 1
+        index |= bit << (n_bits - k)
     return index
 
 
@@ -177,11 +189,16 @@ class HadamardProducts:
         #: Place of the blocks of a size, and the factors of their matrix.
         self._groups: list[tuple[slice, Floats, Floats]] = []
         for start, size, count in groups.tolist():
-            b = 1 if size <= MOST_AT_ONCE else 1 << size.bit_length() // 2
+            # About the root of the size: both factors are as small as they can be.
+            b = 1
+            if size > MOST_AT_ONCE:
+                b = 1 << size.bit_length() // 2
+            a = size // b
             part = slice(start, start + size * count)
-            self._groups.append((part, _orthonormal(size // b), _orthonormal(b)))
+            self._groups.append((part, _orthonormal(a), _orthonormal(b)))
             if b > 1:
-                by_row = self.order_in[part].reshape(size // b, b, count)
+                # The second product leaves the rows of b before the blocks, those of a behind.
+                by_row = self.order_in[part].reshape(a, b, count)
                 self.order_out[part] = by_row.transpose(1, 2, 0).ravel()
 
     def forward(self, x: Floats) -> Floats:
@@ -205,6 +222,7 @@ def _product(x: Floats, a: Floats, b: Floats) -> Floats:
     v = x.reshape(len(a), -1)
     if len(b) == 1:
         return (a @ v).reshape(-1)
+    # a is symmetric: the transposed product leaves b's index first, as the next one needs it.
     by_a = (v.T @ a).reshape(len(b), -1)
     return (b @ by_a).reshape(-1)
 
@@ -214,4 +232,5 @@ def _product_back(rows: Floats, a: Floats, b: Floats) -> Floats:
     if len(b) == 1:
         return (a @ rows.reshape(len(a), -1)).reshape(-1)
     by_b = b @ rows.reshape(len(b), -1)
-    return (a @ by_b.reshape(-1, len(a)).T).reshape(-1)
+    by_a = a @ by_b.reshape(-1, len(a)).T
+    return by_a.reshape(-1)

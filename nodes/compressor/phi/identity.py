@@ -26,6 +26,7 @@ class FullPhi(Phi):
 
     def block_layout(self) -> BlockLayout | None:
         """As in `Phi`: blocks of one taxel each."""
+        # A subclass may measure something else.
         if type(self) is not FullPhi:
             return None
         taxels = np.arange(self.n)
@@ -56,11 +57,13 @@ class SubsamplePhi(RotatingPhi):
 
     def block_layout(self) -> BlockLayout | None:
         """As in `Phi`: blocks of one taxel each."""
+        # A subclass may measure something else.
         if type(self) is not SubsamplePhi:
             return None
         return BlockLayout([1] * self.n, np.arange(self.n), self.rows, None)
 
     def _forward(self, x: Floats, out: Floats) -> None:
+        # "clip": with the default mode numpy copies through a buffer where `out` is stated.
         x.take(self.rows, None, out, "clip")
 
     def _adjoint(self, y: Floats, out: Floats) -> None:

@@ -32,16 +32,21 @@ def m_of(n: int, ratio: float, rows: str = FIXED) -> int:
     Rounded down; rounded up where rows rotate: rounded down, a further subset would hold few
     rows not yet read.
     """
-    return math.ceil(n / ratio) if rows == ROTATING else int(n / ratio)
+    if rows == ROTATING:
+        return math.ceil(n / ratio)
+    return int(n / ratio)
 
 
 def default_rows(phi: object, kind: str, n: int, m: int) -> str:
     """Rows of a matrix, or of a class of them, where none are stated: rotating where they can and M
     is in N / 64 .. N - 1, and for a file with a stack of matrices; else fixed.
     """
+    if not can_rotate(phi):
+        return FIXED
     # A file that can rotate is one with several matrices, of whatever size.
-    in_turn = kind.startswith(STORED) or m < n <= MAX_SUBSETS * m
-    return ROTATING if in_turn and can_rotate(phi) else FIXED
+    if kind.startswith(STORED) or m < n <= MAX_SUBSETS * m:
+        return ROTATING
+    return FIXED
 
 
 def split_rows(order: Indices, m: int) -> list[Indices]:
@@ -53,6 +58,7 @@ def split_rows(order: Indices, m: int) -> list[Indices]:
     """
     n = order.size
     n_subsets = math.ceil(n / m)
+    # In whole numbers, so that the starts are the same on every machine.
     starts = [subset * n // n_subsets for subset in range(n_subsets)]
     return [np.sort(np.roll(order, -start)[:m]) for start in starts]
 
@@ -65,10 +71,14 @@ def split_evenly(order: Indices, m: int, n_subsets: int | None = None) -> list[I
     """
     n = order.size
     n_subsets = n_subsets or math.ceil(n / m)
-    # In whole numbers: how many rows of a sample are among the first 0, 1, .. n of the order.
+    # In whole numbers, which no rounding shifts: a sample takes a row where its count of rows
+    # among the first 0, 1, .. n of the order grows.
     steps = np.arange(n + 1, dtype=np.int64) * m * n_subsets
-    counts = [(steps + subset * n) // (n * n_subsets) for subset in range(n_subsets)]
-    return [np.sort(order[np.diff(count) > 0]) for count in counts]
+    samples = []
+    for subset in range(n_subsets):
+        counts = (steps + subset * n) // (n * n_subsets)
+        samples.append(np.sort(order[np.diff(counts) > 0]))
+    return samples
 
 
 class RotatingPhi(Phi):
@@ -111,13 +121,14 @@ def row_subsets(phi: Phi, rows: str | None) -> list[Phi]:
     cannot rotate, or there were more than 64 subsets.
     """
     if rows is None:
-        rows = default_rows(phi, phi.kind, phi.n, phi.m) if can_rotate(phi) else FIXED
+        rows = default_rows(phi, phi.kind, phi.n, phi.m)
     if rows == FIXED:
         return [phi]
     if rows != ROTATING:
         raise PhiError(f"rows: {rows!r} is not allowed; allowed: {', '.join(ROWS)}")
     check_rotates(phi, phi.kind)
     check_subsets(phi.n, phi.m)
+    # Not `RotatingPhi`: that of a file, or of a user's own, has the method too.
     subsets: list[Phi] = getattr(phi, "row_subsets")()  # noqa: B009
     return subsets
 
@@ -130,7 +141,8 @@ def phis_for(
     but n, as is PhiError.
     """
     phi = make_phi(n=skin.n_taxels, **parameters)
-    if isinstance(phi, Phi):  # not a class of a user's own
+    # A class of a user's own need not have these methods.
+    if isinstance(phi, Phi):
         phi.lay_out(skin.exists)
         phi.state_noise(sigma_end, skin.f_max, clips_noise)
     return row_subsets(phi, rows)

@@ -68,22 +68,27 @@ class RowLocalPhi(RotatingPhi):
         rng = np.random.default_rng(self.seed)
         size = 1 << (n_cols - 1).bit_length()
         # The pattern of all columns, row 0, stays the first.
-        order = np.append(0, 1 + rng.permutation(size - 1))
-        shuffled = np.ix_(order, rng.permutation(n_cols))
-        b = _independent(hadamard_matrix(size)[shuffled]) / math.sqrt(n_cols)
+        row_order = np.append(0, 1 + rng.permutation(size - 1))
+        column_order = rng.permutation(n_cols)
+        shuffled = hadamard_matrix(size)[np.ix_(row_order, column_order)]
+        b = _independent(shuffled) / math.sqrt(n_cols)
+        self.patterns: Floats = b.astype(np.float32)
+        self.patterns.setflags(write=False)
+
         # To four decimals: the last bits of a linear algebra library do not reach the solver.
         largest = float(np.linalg.eigvalsh(b @ b.T)[-1])
         self._lipschitz = math.ceil(largest * 1e4 - 1e-2) / 1e4
-        self.patterns: Floats = b.astype(np.float32)
-        self.patterns.setflags(write=False)
         self._order = np.arange(self.n, dtype=np.intp)
         self._keep(self._order[: self.m])
 
     def _keep(self, rows: Indices, *_: Any) -> None:
         super()._keep(rows, 1, self.patterns)
-        self._used, self._place = np.unique(rows // self.shape[0], return_inverse=True)
+        n_rows = self.shape[0]
+        pattern = rows // n_rows
+        self._used, number = np.unique(pattern, return_inverse=True)
+        #: B of the patterns in use, and the place of each measurement among their sums.
         self._b = np.ascontiguousarray(self.patterns[self._used])
-        self._place = self._place * self.shape[0] + rows % self.shape[0]
+        self._place = number * n_rows + rows % n_rows
 
     def row_subsets(self) -> list[Phi]:
         """As in `RotatingPhi`; every subset has the pattern of all columns: with M = n_rows there
@@ -95,7 +100,8 @@ class RowLocalPhi(RotatingPhi):
         all_columns = self._order[:n_rows]
         other_rows = self._order[n_rows:]
         parts = split_rows(other_rows, self.m - n_rows)
-        return self._twins([np.concatenate([all_columns, part]) for part in parts])
+        subsets = [np.concatenate([all_columns, part]) for part in parts]
+        return self._twins(subsets)
 
     @property
     def lipschitz(self) -> float:
@@ -119,6 +125,7 @@ def _independent(signs: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
     n_cols = signs.shape[1]
     if len(signs) == n_cols:
         return signs
+    # Gram-Schmidt: a row is independent where it has a part orthogonal to those before it.
     independent: list[int] = []
     orthonormal = np.zeros((0, n_cols))
     for k, row in enumerate(signs):

@@ -11,6 +11,7 @@ from typing import Any, ClassVar
 import numpy as np
 import numpy.typing as npt
 
+from sparseskin.messages.fields import MAX_SIDE
 from sparseskin.nodes.errors import PhiError
 from sparseskin.nodes.numerics.arrays import Floats, Indices, Mask
 
@@ -18,7 +19,6 @@ from .base import BLOCK, MAX_SUBSETS, RANDOM, SUMS, UNREAD, BlockLayout, Phi
 from .hadamard import BlockHadamard, CompiledHadamard, block_sizes, hadamard_matrix, run
 from .rotation import RotatingPhi, split_evenly
 
-MAX_SIDE = 4096
 IDENTIFIED = 32
 PART = 4
 LEAST_M = 32
@@ -62,16 +62,19 @@ class SbhePhi(RotatingPhi):
         self, n: int, m: int, seed: int, block: int = BLOCK, rule: int = SUMS
     ) -> None:
         super().__init__(n, m, seed, block)
-        rng = np.random.default_rng(seed)
-        permutation = rng.permutation(n).astype(np.intp)
         self.rule = rule
         self.sizes = block_sizes(n, block)
         self._hadamard = BlockHadamard(self.sizes)
+
+        # The order of the draws is that of the fingerprints.
+        rng = np.random.default_rng(seed)
+        permutation = rng.permutation(n).astype(np.intp)
         if rule == RANDOM:
             self._order: Indices = rng.permutation(n).astype(np.intp)
         else:
             self._order, self._by_block = spread_order(self.sizes, rng)
         self._arrange(permutation)
+
         # A line of the cache apart: of a power of two both would compete for the same places.
         work = np.zeros((2, n + 16), dtype=np.float32)
         self._v, scratch = work[:, :n]
@@ -96,7 +99,8 @@ class SbhePhi(RotatingPhi):
         # The transform leaves row order_out[p] at place p.
         self._places: Indices = np.argsort(self._hadamard.order_out)[rows]
         self._lay_forward()
-        size = np.repeat(self.sizes, self.sizes)[rows].astype(np.float32)
+        size_of_row = np.repeat(self.sizes, self.sizes)
+        size = size_of_row[rows].astype(np.float32)
         self.scale: Floats = np.reciprocal(np.sqrt(size))
 
     def _lay_forward(self) -> None:
@@ -130,11 +134,13 @@ class SbhePhi(RotatingPhi):
         matrix = np.zeros((self.m, self.n))
         start = 0
         for size in self.sizes:
-            taxels = self.permutation[start : start + size]
-            is_of_block = (self.rows >= start) & (self.rows < start + size)
+            stop = start + size
+            taxels = self.permutation[start:stop]
+            is_of_block = (self.rows >= start) & (self.rows < stop)
+            rows_in_block = self.rows[is_of_block] - start
             block = hadamard_matrix(size) / np.sqrt(size)
-            matrix[np.ix_(is_of_block, taxels)] = block[self.rows[is_of_block] - start]
-            start += size
+            matrix[np.ix_(is_of_block, taxels)] = block[rows_in_block]
+            start = stop
         return matrix
 
     def _forward(self, x: Floats, out: Floats) -> None:
@@ -172,19 +178,20 @@ def spread_order(
     sums = first_rows[blocks].astype(np.intp)
 
     # The other rows block by block, with those that identify taxels first.
-    least = least_m(sizes)
-    others = by_block[~np.isin(by_block, sums)]
-    others = others[np.lexsort((least[others], block_of_row[others]))]
+    required_m = least_m(sizes)
+    not_sums = by_block[~np.isin(by_block, sums)]
+    not_sums = not_sums[np.lexsort((required_m[not_sums], block_of_row[not_sums]))]
 
     # The blocks take turns in proportion to their rows. A row that is needed at a smaller M comes
     # earlier than at its turn; then a part of M is left to the rows before it.
-    n_others = all_sizes[blocks] - 1
-    turns = blocks[in_proportion(n_others.tolist())]
+    n_not_sums = all_sizes[blocks] - 1
+    turns = blocks[in_proportion(n_not_sums.tolist())]
     turn = sums.size + np.argsort(turns, kind="stable")
-    needed_at = np.where(least > n, least, least - least // PART)
-    place = np.minimum(turn, needed_at[others])
-    others = others[np.argsort(place, kind="stable")]
-    return np.concatenate([sums, others]), by_block
+    is_required = required_m <= n
+    needed_at = np.where(is_required, required_m - required_m // PART, required_m)
+    place = np.minimum(turn, needed_at[not_sums])
+    not_sums = not_sums[np.argsort(place, kind="stable")]
+    return np.concatenate([sums, not_sums]), by_block
 
 
 def least_m(sizes: Sequence[int]) -> Indices:
@@ -196,19 +203,21 @@ def least_m(sizes: Sequence[int]) -> Indices:
     other blocks up to 64, of which few rows may be held, come first: n + 1, other rows n + 2.
     """
     n = sum(sizes)
-    least = np.full(n, n + 2)
+    required_m = np.full(n, n + 2)
     begin = n
     n_identifying = 0
     for size in reversed(sizes):  # the smallest first
         begin -= size
-        n_identifying += size.bit_length()
+        n_bits = size.bit_length()
+        n_identifying += n_bits
         if size > 2 * IDENTIFIED:
             continue
-        rows = begin + (1 << np.arange(size.bit_length()) >> 1)
-        least[rows] = n + 1
+        # 0, 1, 2, 4 .. B/2: the sum, and a row for each bit of a taxel's number.
+        rows = begin + (1 << np.arange(n_bits) >> 1)
+        required_m[rows] = n + 1
         if size <= IDENTIFIED and size < sizes[0]:
-            least[rows] = min(max(PART * n_identifying, LEAST_M), n + 1)
-    return least
+            required_m[rows] = min(max(PART * n_identifying, LEAST_M), n + 1)
+    return required_m
 
 
 def split_with_sums(sizes: Sequence[int], by_block: Indices, m: int) -> list[Indices]:
@@ -229,18 +238,21 @@ def split_with_sums(sizes: Sequence[int], by_block: Indices, m: int) -> list[Ind
     if m >= 2 * LEAST_M:
         always = by_block[least_m(sizes)[by_block] <= m]
     is_placed = np.isin(by_block, np.concatenate([sums, always]))
-    others = by_block[~is_placed]
+    in_turn = by_block[~is_placed]
 
     m_in_turn = m - always.size
+    n_beside_sum = m_in_turn - 1
     has_few_sums = sums.size * m_in_turn < n - always.size
-    if has_few_sums and others.size <= MAX_SUBSETS * (m_in_turn - 1):
+    if has_few_sums and in_turn.size <= MAX_SUBSETS * n_beside_sum:
+        n_read = (1 - UNREAD) * in_turn.size
+        n_subsets = max(n / m, n_read / n_beside_sum)
+        parts = split_evenly(in_turn, n_beside_sum, math.ceil(n_subsets))
         # One sum in each subset, and the same one again where there are fewer sums than subsets.
-        n_subsets = max(n / m, (1 - UNREAD) * others.size / (m_in_turn - 1))
-        parts = split_evenly(others, m_in_turn - 1, math.ceil(n_subsets))
         parts = [np.append(part, sums[k % sums.size]) for k, part in enumerate(parts)]
     else:
-        parts = split_evenly(np.concatenate([sums, others]), m_in_turn)
+        parts = split_evenly(np.concatenate([sums, in_turn]), m_in_turn)
     subsets = [np.sort(np.concatenate([part, always])) for part in parts]
+
     # Samples that share rows are neighbours: in this order they are half the subsets apart.
     return subsets[::2] + subsets[1::2]
 
@@ -264,12 +276,13 @@ def in_proportion(numbers: Sequence[int]) -> Indices:
     spans.sort()
 
     order = np.empty(n, dtype=np.intp)
+    # Those that may come next, by their latest place.
     ready: list[tuple[int, int]] = []
-    at = 0
+    n_begun = 0
     for place in range(n):
-        while at < n and spans[at][0] <= place:
-            heapq.heappush(ready, spans[at][1:])
-            at += 1
+        while n_begun < n and spans[n_begun][0] <= place:
+            heapq.heappush(ready, spans[n_begun][1:])
+            n_begun += 1
         order[place] = heapq.heappop(ready)[1]
     return order
 
@@ -294,7 +307,9 @@ class LocalSbhePhi(SbhePhi):
     ) -> None:
         super().__init__(n, m, seed, block, rule)
         root = math.isqrt(n)
-        shape = (root, root) if root * root == n else (1, n)
+        shape = (1, n)
+        if root * root == n:
+            shape = (root, root)
         self._lay_out(np.ones(shape, dtype=np.bool_))
 
     def _lay_out(self, exists: Mask) -> None:
@@ -310,13 +325,14 @@ def neighbourhood_order(exists: Mask, side: int, rng: np.random.Generator) -> In
     n_rows, n_cols = exists.shape
     number = np.cumsum(exists.ravel()).reshape(exists.shape) - 1
     parts = []
-    lefts = list(range(0, n_cols, side))
-    for top in range(0, n_rows, side):
-        for left in lefts:
-            window = np.s_[top : top + side, left : left + side]
-            parts.append(rng.permutation(number[window][exists[window]]))
+    first_cols = list(range(0, n_cols, side))
+    for row in range(0, n_rows, side):
+        for col in first_cols:
+            window = np.s_[row : row + side, col : col + side]
+            taxels = number[window][exists[window]]
+            parts.append(rng.permutation(taxels))
         # To and fro: a block that goes on in the next neighbourhood stays in one piece of skin.
-        lefts.reverse()
+        first_cols.reverse()
     order: Indices = np.concatenate(parts).astype(np.intp)
     return order
 

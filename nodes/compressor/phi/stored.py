@@ -79,9 +79,11 @@ class StoredPhi(Phi):
         At most the product of the largest sums of sizes in a row and in a column, which is never
         too small.
         """
-        size = abs(self._matrix)
-        of_column = float(size.sum(axis=0, dtype=float).max())
-        of_row = float(size.sum(axis=1, dtype=float).max())
+        # The product of two norms, in float64: rounding must not make it too small.
+        sizes = abs(self._matrix)
+        of_column = float(sizes.sum(axis=0, dtype=float).max())
+        of_row = float(sizes.sum(axis=1, dtype=float).max())
+
         # A random vector has a part along the largest eigenvector, which each step enlarges most.
         x = np.random.default_rng(0).standard_normal(self.n, dtype=np.float32)
         largest = 0.0
@@ -94,7 +96,10 @@ class StoredPhi(Phi):
     def dense(self) -> npt.NDArray[np.float64]:
         """Return the explicit matrix, float64, shape (m, n)."""
         matrix = self._matrix.astype(np.float64)
-        return matrix if isinstance(matrix, np.ndarray) else matrix.toarray()
+        if isinstance(matrix, np.ndarray):
+            return matrix
+        full: npt.NDArray[np.float64] = matrix.toarray()
+        return full
 
     def _forward(self, x: Floats, out: Floats) -> None:
         out[:] = self._matrix @ x
@@ -130,6 +135,7 @@ def load_matrices(path: str) -> tuple[csr_array, ...]:
             raise PhiError("is no file")
         if status.st_size > MAX_FILE_BYTES:
             raise PhiError(f"{status.st_size} bytes; at most {MAX_FILE_BYTES}")
+        # A file that was written anew is read anew.
         return _load(path, (status.st_mtime_ns, status.st_size, status.st_ino))
     except (ArrayFileError, PhiError) as error:
         raise PhiError(f"{path}: {error}") from error
@@ -140,7 +146,7 @@ def load_matrices(path: str) -> tuple[csr_array, ...]:
 
 @functools.lru_cache(maxsize=4)
 def _load(path: str, _of: tuple[int, int, int]) -> tuple[csr_array, ...]:
-    """As above, of one form of the file."""
+    """As `load_matrices`, of one state of the file."""
     raw = Path(path).read_bytes()
     if not is_npz(raw):
         return _checked_stack(read_npy(raw))
@@ -153,7 +159,9 @@ def _load(path: str, _of: tuple[int, int, int]) -> tuple[csr_array, ...]:
 
 def _wanted(names: list[str]) -> list[str]:
     """Names of the arrays to read: an only one, or those of `scipy.sparse.save_npz`."""
-    return names if len(names) == 1 else [name for name in names if name in _NAMES]
+    if len(names) == 1:
+        return names
+    return [name for name in names if name in _NAMES]
 
 
 def _checked_stack(stack: npt.NDArray[Any]) -> tuple[csr_array, ...]:
@@ -161,6 +169,7 @@ def _checked_stack(stack: npt.NDArray[Any]) -> tuple[csr_array, ...]:
         expected = "numbers of 3, (k, m, n), or a file of scipy.sparse.save_npz"
         fault = f"one array, {stack.dtype} of {stack.ndim} dimensions"
         raise PhiError(f"{fault}; expected {expected}")
+
     k, m, n = stack.shape
     if not (1 <= k <= MAX_SUBSETS and 1 <= m <= n <= MAX_ELEMENTS):
         allowed = f"allowed: 1..{MAX_SUBSETS} of 1 <= m <= n <= {MAX_ELEMENTS}"
@@ -180,10 +189,12 @@ def _checked(arrays: dict[str, npt.NDArray[Any]]) -> csr_array:
             raise PhiError(
                 f"has no array {name}; expected a file of scipy.sparse.save_npz"
             )
+
     kind = arrays["format"]
     is_text = kind.shape == () and kind.dtype.kind in "SU"
     if not is_text or str(kind.astype(str)) != "csr":
         raise PhiError('format: expected "csr"; convert it by matrix.tocsr()')
+
     data = arrays["data"]
     for name in ("indices", "indptr", "shape"):
         if arrays[name].ndim != 1 or arrays[name].dtype.kind not in "iu":
@@ -195,6 +206,7 @@ def _checked(arrays: dict[str, npt.NDArray[Any]]) -> csr_array:
     m, n = arrays["shape"].tolist()
     if not 1 <= m <= n <= MAX_ELEMENTS:
         raise PhiError(f"shape: {m} x {n}; allowed: 1 <= m <= n <= {MAX_ELEMENTS}")
+
     # A copy: the arrays are views of the bytes of the file, which cannot be written to.
     try:
         parts = _in_float32(data), arrays["indices"], arrays["indptr"]
@@ -212,11 +224,11 @@ def _in_float32(numbers: npt.NDArray[Any]) -> Floats:
 
 
 def _finite(matrix: csr_array) -> csr_array:
+    sizes = abs(matrix)
     # Not `>`: NaN is no entry, either.
-    size = abs(matrix)
-    if not (size.data <= MAX_ENTRY).all():
+    if not (sizes.data <= MAX_ENTRY).all():
         raise PhiError(f"data: expected finite numbers of at most {MAX_ENTRY:g}")
-    if not (size.sum(axis=1) > 0).all():
+    if not (sizes.sum(axis=1) > 0).all():
         raise PhiError("data: a row holds zeros alone")
     return matrix
 
