@@ -55,20 +55,27 @@ class DriverSource(LiveSource):
         self._raw = address.raw
         self._arrangement: Arrangement | None = None
         self._shape: tuple[int, ...] = ()  # of the frames as they come
-        self._f_max = PAPER_F_MAX_N if layout.f_max is None else float(layout.f_max)
+
+        # Without any statement readings are those of the paper's taxels, in newtons.
+        self._f_max = PAPER_F_MAX_N
+        if layout.f_max is not None:
+            self._f_max = float(layout.f_max)
         is_without_range = layout.unit is None and layout.f_max is None
         self._is_in_newtons = is_without_range and not address.raw
+
         self._skin: Skin | None = None
         self._first: tuple[int, Floats] | None = None  # pulled to learn the shape
         self._checked: Generator[tuple[int, Floats]] | None = None
         self._is_one_shot = False
 
+        # While `_skin` is None, the first frame may have any shape.
         driver_skin = self._read_attributes()
         if driver_skin is not None:
             self.skin: Skin = self._checked_skin(driver_skin)
         else:
             self.skin = self._skin_of_first_frame()
         self._skin = self.skin
+
         self.clock = DeviceClock(self.name, self._lines.append)
         try:
             check_stated_shape(
@@ -84,6 +91,7 @@ class DriverSource(LiveSource):
         """
         target = self._target
         driver = self._driver
+        # Each may be a property of the user's, which may raise anything.
         with _running(target):
             skin: object = getattr(driver, "skin", None)
             name = getattr(driver, "name", None)
@@ -120,8 +128,11 @@ class DriverSource(LiveSource):
         self._first = next(self._checked, None)
         if self._first is None:
             raise SourceError(f"{self._target}: ended before its first frame")
-        n_rows, n_cols = self._first[1].shape
-        unit = "N" if self._layout.unit is None else self._layout.unit
+        _, forces = self._first
+        n_rows, n_cols = forces.shape
+        unit = self._layout.unit
+        if unit is None:
+            unit = "N"
         return Skin(n_rows, n_cols, self._f_max, unit)
 
     def __iter__(self) -> Iterator[tuple[int, Floats]]:
@@ -142,6 +153,7 @@ class DriverSource(LiveSource):
         """Close the driver, so that its `finally` blocks run; raises SourceError if it raises
         then.
         """
+        # Forgotten first: a second call, as after an error in it, closes nothing twice.
         checked = self._checked
         self._checked = None
         self._first = None
@@ -156,6 +168,7 @@ class DriverSource(LiveSource):
             raise SourceError(
                 f"{target}: is a generator and was read before; open it anew"
             )
+
         with _running(target):
             # An iterator of its own, as a generator is, cannot be read twice.
             iterator = iter(self._driver)
@@ -202,6 +215,7 @@ class DriverSource(LiveSource):
         except Exception as error:
             fault = f"forces are no array of numbers ({shown(error, 120)})"
             raise SourceError(f"{where}: {fault}") from error
+
         if array.dtype.kind not in "iuf":
             fault = f"forces have dtype {shown(array.dtype)}"
             raise SourceError(
@@ -212,14 +226,14 @@ class DriverSource(LiveSource):
             fault = "whole numbers, of which the driver states neither unit nor range"
             raise SourceError(f"{where}: {fault}{ADD}unit={COUNTS} f_max=4095")
 
-        array = self._arranged(array, where)
-
         # The first frame makes the skin; all later ones have its shape.
+        array = self._arranged(array, where)
         skin = self._skin
         if skin is not None and array.shape != skin.shape:
             fault = f"forces have shape {array.shape}, but the skin has {skin.shape}"
             raise SourceError(f"{where}: {fault}")
 
+        # A copy: a driver may fill the same array again.
         if array.dtype == np.float32:
             values: npt.NDArray[Any] = array.copy()
         else:
@@ -272,14 +286,15 @@ class DriverSource(LiveSource):
                 f"{target}: its skin is {type(skin).__name__}; {expected}"
             )
         check_grid(skin.n_rows, skin.n_cols, target)
+        # Which of the two is right, nobody knows: forces would be wrong by a factor.
         for key in ("f_max", "unit"):
             setting = getattr(self._layout, key)
             value = getattr(skin, key)
             if setting is not None and setting != value:
-                fault = (
-                    f"{key} = {setting} is stated, but the driver's skin has {value}"
+                fault = f"{key} = {setting} is stated"
+                raise SourceError(
+                    f"{target}: {fault}, but the driver's skin has {value}"
                 )
-                raise SourceError(f"{target}: {fault}")
         self._f_max = float(skin.f_max)
         return skin
 
@@ -298,6 +313,7 @@ def open_callable(address: Address) -> DriverSource:
     make = find_callable(target, SourceError)
     with _running(target):
         driver = make()
+    # Of the type, as `iter` looks it up.
     if not hasattr(type(driver), "__iter__"):
         expected = "expected a generator or an iterable of (stamp_ns, forces)"
         raise SourceError(f"{target}: returned {type(driver).__name__}; {expected}")
@@ -325,7 +341,9 @@ def _checked_pair(
 
 def _exact(dtype: np.dtype[Any]) -> type[np.floating[Any]]:
     """Float type that holds all numbers of a dtype: float32 where that is enough."""
-    return np.float32 if np.can_cast(dtype, np.float32) else np.float64
+    if np.can_cast(dtype, np.float32):
+        return np.float32
+    return np.float64
 
 
 @contextmanager

@@ -46,8 +46,9 @@ class MissingReadings:
         self.n_empty = 0  # frames without any reading
         self._way = way
         self._whole = skin
+        #: Cells of it that no frame has held a number of.
         self._silent: Mask = skin.exists
-        self._renewed_ns: int | None = None
+        self._renewed_ns: int | None = None  # stamp of the frame that set `skin` last
         self._previous: Floats = np.zeros(skin.shape, np.float32)
         self._lines: list[str] = []
 
@@ -59,6 +60,7 @@ class MissingReadings:
         Returns its forces, 0 in masked cells, and the bits of those that are missing, as in
         `Sensed`; None of a frame without any reading.
         """
+        # Of the whole skin: a masked cell that gives a number now is a taxel.
         is_number = np.isfinite(forces) & self._whole.exists
         if not is_number.any():
             self.n_empty += 1
@@ -66,6 +68,7 @@ class MissingReadings:
         if self.learns:
             self._learn(is_number, stamp_ns)
 
+        # After `_learn`, which may have changed the mask.
         exists = self.skin.exists
         missing = exists & ~is_number
         is_number &= exists
@@ -79,6 +82,8 @@ class MissingReadings:
         if not self.n_cells:
             line = f"missing readings are {FILLED[self._way]}"
             self._lines.append(f"{line}: {self.n_now} at first")
+
+        # Of the way "zero" they are 0 already.
         self.n_cells += self.n_now
         if self._way == MASK:
             filled[missing] = mean_of_near(filled, is_number)[missing]
@@ -121,6 +126,7 @@ class MissingReadings:
         """Renew the skin by the first frame, and where cells hold a number that have held none."""
         self._silent = self._silent & ~is_number
         n_silent = int(np.count_nonzero(self._silent))
+
         n_masked = self._whole.n_taxels - self.skin.n_taxels
         if self._renewed_ns is None:
             if n_silent:
@@ -135,4 +141,6 @@ class MissingReadings:
 
         self._renewed_ns = stamp_ns
         self.is_news = True
-        self.skin = self._whole.without(self._silent) if n_silent else self._whole
+        self.skin = self._whole
+        if n_silent:
+            self.skin = self._whole.without(self._silent)

@@ -26,6 +26,7 @@ from sparseskin.nodes.numerics.arrays import Floats
 from .calibration.chain import Chain
 from .calibration.description import Placement, SkinDescription, of_skin
 from .calibration.drift import DRIFT_RATE
+from .device_clock import DeviceClock
 from .doubt.doubt import Doubt
 from .layout.checks import spelled
 from .layout.layout import MASK
@@ -80,31 +81,34 @@ class Sensor(SourceNode[SensorSettings]):
         if settings.points:
             self._placement = point_skins().place(settings.points)
 
+        # Answers to a fault are settings, in the form that a command takes them.
         try:
             self._open_source()
         except SourceError as error:
             text = spelled(str(error), lambda key: f"--set {context.name}.{key}=")
             raise SourceError(text) from error
 
+        skin = self._source_skin
+        self._f_min = self._source.f_min
         if self._stage is not None:
             skin = self._stage.skin
             self._f_min = self._stage.description.f_min
-        else:
-            skin = self._source_skin
-            self._f_min = self._source.f_min
-        learns = settings.nan == MASK and self._source.is_live
 
         # Only a live source shows by its frames which taxels give no number.
+        learns = settings.nan == MASK and self._source.is_live
         self._readings = MissingReadings(settings.missing_way, skin, learns)
         if self._source.is_live:
             self._source.clipped.mask = skin.mask
 
         self._noise = self._chosen_noise()
         self._rng = context.rng(settings.seed)
-        self._clock = self._source.clock if settings.clock == "source" else None
-        self._stamp_ns = -1
+        self._clock: DeviceClock | None = None
+        if settings.clock == "source":
+            self._clock = self._source.clock
+        self._stamp_ns = -1  # of the last frame of a live source
         self._set_pace()
 
+        # Frames of a live source are of the time at which they are read: none is read ahead.
         self._begin()
         if not self._source.is_live:
             self._prepare()
@@ -114,9 +118,9 @@ class Sensor(SourceNode[SensorSettings]):
         settings = self.settings
         self._doubt: Doubt | None = None  # from the first frame on
         self._stated_rest = settings.tare is not None or settings.invert
-        self._described_changes = bool(
-            self._described and self._described.changes_readings
-        )
+        self._described_changes = False
+        if self._described is not None:
+            self._described_changes = self._described.changes_readings
         self._line = ""  # on rest and sign, as it was logged last
 
         self._next: _Frame | None = None
@@ -124,8 +128,10 @@ class Sensor(SourceNode[SensorSettings]):
         self._taxels: Taxels | None = None
         self._truth_message: Truth | None = None
         self._n_frames = 0
-        self._n_stuck = 0
-        self._n_logged = 0
+        self._n_stuck = 0  # taxels that were named in the log
+        self._n_logged = (
+            0  # clipped readings when they were logged last, and the time of that
+        )
         self._logged_ns = 0
 
     def _open_source(self) -> None:
@@ -138,6 +144,8 @@ class Sensor(SourceNode[SensorSettings]):
             source.loops = settings.loop
             if settings.first or settings.every > 1:
                 source.read_part(settings.first, settings.every)
+
+            # The stage is made for the skin of the placement.
             self._source_skin = self._placed_skin()
             self._stage = self._made_stage()
             opened.pop_all()
@@ -197,9 +205,10 @@ class Sensor(SourceNode[SensorSettings]):
             raise SettingsError(NO_TRUTH)
         if settings.invert != self.settings.invert:
             # Gains of presses have the sign that the presses showed.
-            if self._stage is None or (
-                self._described and self._described.gains is not None
-            ):
+            has_gains = (
+                self._described is not None and self._described.gains is not None
+            )
+            if self._stage is None or has_gains:
                 raise SettingsError(
                     "invert: is of a sensor with a baseline, and without gains"
                 )
@@ -217,6 +226,7 @@ class Sensor(SourceNode[SensorSettings]):
         if self._stage is not None:
             self._stage.drift.rate = self._drift_rate()
 
+        # Until the first frame has shown which taxels there are, it is described by that.
         if self._readings.is_known:
             yield self._describe()
 
@@ -234,13 +244,14 @@ class Sensor(SourceNode[SensorSettings]):
     def _describe(self) -> SkinState:
         self._readings.is_news = False
         has_truth = self._source.delivers == "truth"
+
+        # 0: not known.
         sigmas = None
         if self._stage is not None:
             sigmas = self._stage.description.sigmas
         elif has_truth:
             sigmas = (self._noise.sigma_mid, self._noise.sigma_end)
         sigma_mid, sigma_end = sigmas or (0.0, 0.0)
-
         return SkinState(
             stamp_ns=self.context.clock.now_ns(),
             patch=self.settings.patch,
@@ -286,6 +297,7 @@ class Sensor(SourceNode[SensorSettings]):
         frame = self._next
         if frame is None:
             return
+        # Before the frame: readers set up Phi and solver by it.
         if self._readings.is_news:
             yield self._describe()
         yield self._taxels_of(stamp_ns, frame)
@@ -317,17 +329,16 @@ class Sensor(SourceNode[SensorSettings]):
 
     def _truth_of(self, stamp_ns: int, forces: Floats) -> Truth:
         settings = self.settings
-        if (
-            self._truth_message is None
-            or forces.shape != self._truth_message.forces.shape
-        ):
-            self._truth_message = Truth(
+        message = self._truth_message
+        if message is None or forces.shape != message.forces.shape:
+            message = Truth(
                 patch=settings.patch,
                 names=settings.patches,
                 stamp_ns=stamp_ns,
                 forces=forces,
             )
-        return self._truth_message.following(stamp_ns=stamp_ns, forces=forces)
+            self._truth_message = message
+        return message.following(stamp_ns=stamp_ns, forces=forces)
 
     def state(self) -> dict[str, Any]:
         state = super().state()
@@ -349,7 +360,6 @@ class Sensor(SourceNode[SensorSettings]):
     def status(self) -> str:
         source = self._source
         text = f"{source.name}: frame {self._n_frames}"
-
         if source.n_frames and not source.loops:
             text += f" of {source.n_frames}"
         if self.settings.n_patches > 1:
@@ -374,6 +384,7 @@ class Sensor(SourceNode[SensorSettings]):
         report |= self._source.report()
         report |= self._readings.report()
 
+        # Beside those of the source.
         if self._line:
             report["lines"] = [*report.get("lines", ()), self._line]
         return report
@@ -391,6 +402,7 @@ class Sensor(SourceNode[SensorSettings]):
         n_clipped = self._clips.n
         if n_clipped <= 2 * self._n_logged:
             return
+
         now_ns = self.context.clock.now_ns()
         if self._n_logged and now_ns - self._logged_ns < LOG_S * 1_000_000_000:
             return
@@ -410,6 +422,7 @@ class Sensor(SourceNode[SensorSettings]):
             self.rate_hz = self.settings.rate_hz
         else:
             self.rate_hz = self._source.pace_hz
+            # A recording's own: of its frames only one in `every` is read.
             if self.rate_hz == self._source.rate_hz:
                 self.rate_hz /= self.settings.every
         self._source.period_s = 1 / (self.rate_hz or DEFAULT_RATE_HZ)
@@ -485,16 +498,19 @@ class Sensor(SourceNode[SensorSettings]):
         """Why the readings of a frame are not to be trusted, "" if they are; `missing` are the bits
         of those that are none.
         """
+        # Not before: the first frame may change the skin.
         if self._doubt is None:
-            has_level = not self._stated_rest
-            inverted = self.settings.invert
             self._doubt = Doubt(
-                self.skin, self._clips, has_level=has_level, is_inverted=inverted
+                self.skin,
+                self._clips,
+                has_level=not self._stated_rest,
+                is_inverted=self.settings.invert,
             )
         cells = None
         if missing is not None:
             bits = np.unpackbits(missing, count=forces.size)
             cells = bits.astype(np.bool_).reshape(forces.shape)
+
         reason = self._doubt.look(forces, cells)
         self._note_stuck(self._doubt.stuck_cells)
         line = self._doubt.take_line()
@@ -551,7 +567,6 @@ class Sensor(SourceNode[SensorSettings]):
         description = self._described or of_skin(source.name, self._source_skin)
         description = description.on(self._source_skin, where)
         description = replace(description, placement=self._placement)
-
         if settings.f_min is not None:
             f_min = max(settings.f_min, -description.f_max)
             description = replace(description, f_min=f_min)
@@ -568,7 +583,9 @@ class Sensor(SourceNode[SensorSettings]):
         if self.settings.drift is not None:
             return self.settings.drift
         # Readings that are forces already have no baseline that could drift.
-        return DRIFT_RATE if self._drifts else 0.0
+        if self._drifts:
+            return DRIFT_RATE
+        return 0.0
 
     def _placed_skin(self) -> Skin:
         """The skin of the source, of a layout that of its virtual grid; SourceError by its size."""
@@ -584,9 +601,8 @@ class Sensor(SourceNode[SensorSettings]):
     def _truth(self, truth: Floats) -> Floats:
         """True forces of each patch."""
         n_patches = self.settings.n_patches
-        if (
-            n_patches > 1 and truth.ndim == 2
-        ):  # a scene of one patch, which all then show
+        # A scene of one patch: all of them show it.
+        if n_patches > 1 and truth.ndim == 2:
             return np.repeat(truth[np.newaxis], n_patches, axis=0)
         return truth
 

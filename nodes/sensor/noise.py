@@ -64,17 +64,19 @@ class NoiseModel:
     of_touched: bool = False
 
     def __post_init__(self) -> None:
-        allowed_sigma = f"0 to f_max = {self.f_max!r}, both included"
         if not (is_real(self.f_max, 0.0) and self.f_max > 0.0):
             allowed = "a finite number above 0"
             raise SettingsError(
                 f"noise model: f_max is {self.f_max!r}; allowed is {allowed}"
             )
+
+        # Noise as large as the range would leave nothing to measure.
+        allowed = f"0 to f_max = {self.f_max!r}, both included"
         for name in ("sigma_mid", "sigma_end"):
             sigma = getattr(self, name)
             if not is_real(sigma, 0.0, self.f_max):
                 raise SettingsError(
-                    f"noise model: {name} is {sigma!r}; allowed is {allowed_sigma}"
+                    f"noise model: {name} is {sigma!r}; allowed is {allowed}"
                 )
 
     @classmethod
@@ -89,6 +91,7 @@ class NoiseModel:
         """Standard deviation of the noise before clipping, in the unit and shape of the true
         forces, float32 in [0, f_max].
         """
+        # In float32 and in place: it is part of `apply`.
         half = np.float32(self.f_max / 2)
         slope = np.float32((self.sigma_end - self.sigma_mid) / (self.f_max / 2))
         sigma: Floats = np.abs(forces - half, dtype=np.float32)
@@ -101,6 +104,7 @@ class NoiseModel:
 
         Arguments and result as in `sigma`, squared.
         """
+        # Distance from mid-range, 1 at both ends; estimates may lie beyond the range.
         distance = np.abs(2 / self.f_max * forces - 1).clip(None, 1)
         sigma = self.sigma_mid + (self.sigma_end - self.sigma_mid) * distance
         variance: Floats = sigma * sigma
@@ -108,7 +112,8 @@ class NoiseModel:
         # An untouched taxel loses the half of its noise that is below 0.
         if self.clips and self.sigma_end:
             slope = (1 - CLIPPED) / CLIPPED_BELOW / self.sigma_end
-            variance = variance * (CLIPPED + slope * forces).clip(None, 1)
+            clipped_part = (CLIPPED + slope * forces).clip(None, 1)
+            variance = variance * clipped_part
         if self.of_touched:
             variance = variance * (forces > 0)
         return variance
@@ -117,7 +122,6 @@ class NoiseModel:
         """Readings of a noisy skin, a fresh array in [0, f_max], of true forces in that range,
         float32 of any shape. The same state of `rng` gives the same readings.
         """
-
         # In place: a large skin has a million taxels.
         taxels = rng.standard_normal(truth.shape, dtype=np.float32)
         taxels *= self.sigma(truth)

@@ -48,5 +48,8 @@ def point_skins() -> PointSkins:
 
 def point_scenes() -> Mapping[str, str]:
     """Scenes on skins of points; none without the plug-in."""
+    # Lists of scenes are for everybody: without the plug-in there is no fault.
     plugin: PointSkins | None = loaded(POINTS).get(NAME)
-    return {} if plugin is None else plugin.scenes()
+    if plugin is None:
+        return {}
+    return plugin.scenes()

@@ -33,6 +33,7 @@ def read_part(text: str) -> tuple[float, float] | None:
     Raises CalibrationError if it is empty, or numbers without their unit.
     """
     match = _PART.fullmatch(text)
+    # A bare number is meant for frames or seconds: no guess is made.
     if match is None and _PART.fullmatch(f"{text}s"):
         expected = f"expected seconds, as {text}s, or a file"
         raise CalibrationError(f"{text}: {expected}; frames are not counted")
@@ -79,6 +80,7 @@ class Live:
         self._source = source
         self._error = ""
         self._closing = False
+        #: Where the thread puts frames; None while no part is asked for.
         self._keep: list[Frames] | None = None
         self._thread = threading.Thread(target=self._read, daemon=True)
         self._thread.start()
@@ -87,14 +89,15 @@ class Live:
         """Frames of the next `stop_s - start_s` seconds.
         Raises CalibrationError if none comes, or the source fails or ends.
         """
-
         max_frames = max(2, MAX_READINGS // (self.skin.n_rows * self.skin.n_cols))
         end = time.monotonic() + stop_s - start_s
         frames: list[Frames] = []
         self._keep = frames
         while not self._error and len(frames) < max_frames:
-            # The first frame is waited for.
-            deadline = end if frames else end + SILENT_S
+            # The first frame is waited for longer.
+            deadline = end
+            if not frames:
+                deadline += SILENT_S
             if time.monotonic() >= deadline:
                 break
             time.sleep(POLL_S)
@@ -108,7 +111,6 @@ class Live:
     def close(self) -> None:
         """Close the source, where it can be."""
         self._closing = True
-
         # A device that is silent holds its reader: it is left to the end of the process.
         self._thread.join(1.0)
         if not self._thread.is_alive():

@@ -29,12 +29,10 @@ class Clipped:
     n_above: int = 0
     lowest: float = math.inf  # of the frames that had such, before they were clipped
     highest: float = -math.inf
-    n_now: int = field(
-        default=0, compare=False
-    )  # of the last frame, by more than its noise
-    mask: Mask | None = field(
-        default=None, compare=False
-    )  # True where a taxel exists; None: all
+    #: Of the last frame, by more than its noise.
+    n_now: int = field(default=0, compare=False)
+    #: True where a taxel exists; None: all.
+    mask: Mask | None = field(default=None, compare=False)
     sign: Sign = field(default_factory=Sign, compare=False)
     #: What the noise of the last frame, as it was measured, may exceed an end of the range by; None
     #: where it is stated.
@@ -63,14 +61,15 @@ class Clipped:
         self.margin = margin if noise is None else None
         lowest, highest = _ends(readings)
         self.sign.update(readings, low, margin, lowest)
-        self.n_now = 0
 
         # Noise that is known may lie below the range: only what exceeds it counts.
         lower_end = low if noise is None else low - margin
         is_beyond = lowest < low or highest > high
         if lower_end <= lowest and highest <= high:
+            self.n_now = 0
             return is_beyond
 
+        # Few frames have such readings: only these pay for the counts.
         self.n_below += int(np.count_nonzero(readings < lower_end))
         self.n_above += int(np.count_nonzero(readings > high))
         self.lowest = min(self.lowest, lowest)

@@ -123,6 +123,7 @@ class SensorSettings(Layout, PatchesSettings):
 
     def address(self) -> Address:
         """The source, as these settings state it. Raises SourceError if it has no known form."""
+        # Read anew each time: a launch checks settings long before it runs them.
         described = None
         if self.skin:
             described = load_skin(self.skin)
@@ -142,7 +143,9 @@ class SensorSettings(Layout, PatchesSettings):
     def layout(self) -> Layout:
         """What is stated of the source."""
         values = {key: getattr(self, key) for key in KEYS}
-        return Layout(**{**values, "rate_hz": self.rate_hz or None})
+        # A rate of 0 is a pace of the sensor, and none of the source.
+        values["rate_hz"] = self.rate_hz or None
+        return Layout(**values)
 
     def check(self) -> None:
         if self.skin:
@@ -158,6 +161,7 @@ class SensorSettings(Layout, PatchesSettings):
                 raise SettingsError(
                     f"{self.source} is not available for several patches"
                 )
+
         if self.loop and address.kind not in WITH_END:
             allowed = ", ".join(f"{kind}:" for kind in WITH_END)
             raise SettingsError(
@@ -165,6 +169,8 @@ class SensorSettings(Layout, PatchesSettings):
             )
         if self.noise != 1 and address.delivers == "taxels":
             raise SettingsError(NO_TRUTH)
+
+        # Each of these, not stated, is None, "" or 0.
         for key in address.own:
             if getattr(self, key) not in (None, "", 0):
                 raise SettingsError(f"{key}: a {address.kind} has its own")
@@ -176,11 +182,14 @@ class SensorSettings(Layout, PatchesSettings):
 
     def _check_skin(self) -> None:
         """Check the file of the skin, and the settings that it states itself."""
+        # Those of the source would be of raw readings, which have neither.
         for key in ("unit", "f_max"):
             if getattr(self, key) is not None:
                 raise SettingsError(f"{key}: the file of the skin has its own")
         with naming("skin"):
             described = load_skin(self.skin)
+
+        # Gains of presses have the sign that the presses showed.
         if self.invert and described.gains is not None:
             raise SettingsError("invert: the gains in the file of the skin have a sign")
         if self.points and described.placement is not None:

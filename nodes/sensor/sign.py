@@ -54,8 +54,8 @@ class Sign:
         """Forget all frames, as where the reading at rest is another."""
         self.n_falls = 0
         self.n_rises = 0
-        self.lowest = 0.0
-        self._n_below = 0
+        self.lowest = 0.0  # reading of a fall
+        self._n_below = 0  # taxels of the last frame
         #: Taxels that were below in the last frame; None: none was.
         self._below: Mask | None = None
         self._above: Mask = np.zeros(0, np.bool_)
@@ -93,8 +93,10 @@ class Sign:
             return
         below = readings < low - margin
         self._n_below = int(np.count_nonzero(below))
-        was_below = np.False_ if self._below is None else self._below
-        self.n_falls += int(np.count_nonzero(below > was_below))
+        falls = below
+        if self._below is not None:
+            falls = below > self._below
+        self.n_falls += int(np.count_nonzero(falls))
         self.lowest = min(self.lowest, lowest)
         self._below = below
 
@@ -117,6 +119,8 @@ class Margin:
         """
         if noise is not None:
             return touch_level(noise, f_max, SIGMAS)
+
+        # Another floor means another range: what was measured was in parts of the old one.
         floor = UNKNOWN * f_max
         is_known = len(self._spreads) == N_SPREADS and floor == self._floor
         phase = self._n_frames % EVERY
@@ -149,6 +153,7 @@ class Margin:
         if not values.size:
             return floor
 
+        # The lower one of two: noise that is taken for too large hides falls.
         self._spreads.append(_spread(values, previous))
         spreads = sorted(self._spreads)
         median_spread = spreads[(len(spreads) - 1) // 2]
@@ -171,8 +176,8 @@ def _spread(values: Doubles, previous: Doubles | None) -> float:
     """Standard deviation of noise as a frame shows it: the less of that over its taxels, which a
     load raises, and of that since the frame before, which a motion raises.
     """
-
-    over_taxels = MAD_TO_SD * _middle(np.abs(values - _middle(values.copy())))
+    deviations = np.abs(values - _middle(values.copy()))
+    over_taxels = MAD_TO_SD * _middle(deviations)
     if previous is None or previous.size != values.size:
         return over_taxels
     change = _middle(np.abs(values - previous)) / DIFFERENCE
@@ -183,6 +188,7 @@ def _spread(values: Doubles, previous: Doubles | None) -> float:
 
 def _middle(values: Doubles) -> float:
     """Median of values, the upper one of two; their order changes."""
+    # np.median takes more than ten times as long of so few.
     middle = values.size // 2
     values.partition(middle)
     return float(values[middle])

@@ -74,15 +74,13 @@ def load_skin(path: str | os.PathLike[str]) -> SkinDescription:
     unknown or missing, or a value is not allowed.
     """
     path = Path(path)
-
     # UTF-8 has at most four bytes for a character.
     text = _read(path, 4 * MAX_FILE_CHARS)
     try:
         table = parse_toml(text.decode("utf-8"), MAX_FILE_CHARS)
     except ValueError as error:
-        raise SkinFileError(
-            f"{path}: not TOML: {' '.join(str(error).split())[:200]}"
-        ) from error
+        fault = " ".join(str(error).split())
+        raise SkinFileError(f"{path}: not TOML: {fault[:200]}") from error
     return parse_skin({"name": path.stem[:MAX_NAME], **table}, str(path), path.parent)
 
 
@@ -115,7 +113,8 @@ def _described(table: Mapping[str, Any], folder: Path) -> SkinDescription:
     for name, knots in curve.items():
         inline[CURVE[name]] = knots
 
-    skin = SkinDescription(**values)  # its shape bounds the size of all arrays
+    # Its shape bounds the size of all arrays, so that it is checked before any is read.
+    skin = SkinDescription(**values)
     arrays: dict[str, Any] = {}
     if archive is not None:
         arrays = _load_arrays(archive, folder, skin.n_rows * skin.n_cols)
@@ -127,6 +126,7 @@ def _described(table: Mapping[str, Any], folder: Path) -> SkinDescription:
 
     if any(key in arrays for key in CURVE.values()):
         arrays["response"] = _take_response(arrays)
+    # The mask of a virtual grid follows from its points.
     if skin.placement is not None:
         placed = skin.placement.skin(skin.f_max, skin.unit)
         arrays["mask"] = placed.mask
@@ -160,7 +160,10 @@ def _placed(table: Mapping[str, Any], folder: Path) -> dict[str, Any]:
     if not isinstance(name, str) or not name:
         raise SkinFileError("points: expected the name of a file")
 
-    layout = name if name.startswith("example:") else str(folder / name)
+    # A path in a file is relative to that file.
+    layout = name
+    if not name.startswith("example:"):
+        layout = str(folder / name)
     try:
         placement = point_skins().place(layout)
     except SourceError as error:
@@ -196,6 +199,8 @@ def _load_arrays(name: object, folder: Path, n_cells: int) -> dict[str, Any]:
             f"{ARRAYS}: expected the name of an .npz, got {ascii(name)[:40]}"
         )
 
+    # A file of a stranger must not name one elsewhere, by ".." or a symbolic link; "\\" is a
+    # separator on Windows alone.
     path = folder / name
     is_plain = name == Path(name).name and "\\" not in name and name.isprintable()
     if not is_plain or path.resolve().parent != folder.resolve():
@@ -256,6 +261,7 @@ def save_skin(path: str | os.PathLike[str], skin: SkinDescription) -> list[Path]
     values = _values(skin)
     large = {key: value for key, value in values.items() if np.ndim(value) > 1}
     n_numbers = sum(array.size for array in large.values())
+    # Points have no form as text: `points` of a skin.toml names a file.
     if skin.points is None and n_numbers <= MAX_INLINE:
         large = {}
     text = _text(skin, values, large, archive.name)
@@ -265,6 +271,7 @@ def save_skin(path: str | os.PathLike[str], skin: SkinDescription) -> list[Path]
             f"{path}: would have {len(text)} characters; at most {MAX_FILE_CHARS}"
         )
 
+    # The archive first: no skin.toml ever names a file that is not there.
     with whole_file(path) as draft:
         draft.write_text(text, encoding="utf-8")
         if not large:
@@ -277,12 +284,10 @@ def save_skin(path: str | os.PathLike[str], skin: SkinDescription) -> list[Path]
 def _values(skin: SkinDescription) -> dict[str, Any]:
     """The values of a description by key, one number for an array of equal ones."""
     numbers = ("name", "n_rows", "n_cols", "pitch_mm", "unit", "f_max", *OF_NOISE)
-    values: dict[str, Any] = {
-        key: getattr(skin, key) for key in (*numbers, *GRIDS, "points")
-    }
-    values["response_reading"] = (
-        None if skin.response is None else skin.response.reading
-    )
+    keys = (*numbers, *GRIDS, "points")
+    values: dict[str, Any] = {key: getattr(skin, key) for key in keys}
+    if skin.response is not None:
+        values["response_reading"] = skin.response.reading
     for key in ("baseline", "gains"):
         array = values[key]
         if array is not None and np.ptp(array) == 0:
@@ -297,19 +302,19 @@ def _text(
     archive: str,
 ) -> str:
     """The text of a skin.toml whose `large` arrays are in an .npz of the name `archive`."""
-    stated = {key: value for key, value in values.items() if key not in large}
-    knots = stated.pop("response_reading", None)
-    if skin.mask is not None and "mask" in stated:
-        stated["mask"] = [
-            "".join("01"[cell] for cell in row) for row in skin.mask.tolist()
-        ]
+    inline = {key: value for key, value in values.items() if key not in large}
+    knots = inline.pop("response_reading", None)
+    if skin.mask is not None and "mask" in inline:
+        rows = skin.mask.tolist()
+        inline["mask"] = ["".join("01"[cell] for cell in row) for row in rows]
     if large:
-        stated[ARRAYS] = archive
+        inline[ARRAYS] = archive
 
+    # Tables come behind all keys: in TOML what follows one belongs to it.
     lines = [
         "# A skin of sparseskin: docs/howto/calibration.md has the meaning of each key."
     ]
-    lines += _toml_lines(stated)
+    lines += _toml_lines(inline)
     if skin.response is not None:
         lines += ["", "[response]"]
         lines += _toml_lines({"reading": knots, "force": skin.response.force})

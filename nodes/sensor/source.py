@@ -38,29 +38,23 @@ class Source:
     delivers: Literal["truth", "taxels"] = "taxels"
     rate_hz: float | None = None  # native frame rate; None: it has none of its own
     n_frames: int | None = None  # None: endless
-    is_live: bool = (
-        False  # a frame is of the time at which it is read; others are read ahead
-    )
-    arrives: bool = (
-        False  # frames arrive whether or not they are read; `next_frame` states when
-    )
-    simulates: bool = (
-        False  # frames are made for the time at which they are sent, as by a scene
-    )
-    on_points: bool = (
-        False  # frames of a skin of points are on its virtual grid already
-    )
+    #: A frame is of the time at which it is read; others are read ahead
+    is_live: bool = False
+    #: Frames arrive whether or not they are read; `next_frame` states when
+    arrives: bool = False
+    #: Frames are made for the time at which they are sent, as by a scene
+    simulates: bool = False
+    #: Frames of a skin of points are on its virtual grid already
+    on_points: bool = False
     ended: bool = False  # `next_frame` has found that there is no frame any more
     f_min: float = 0.0  # lower end of the range, 0 or less, in the unit of the skin
-    clipped: Clipped = (
-        Clipped()
-    )  # counts of the readings that were clipped to the range
+    #: Counts of the readings that were clipped to the range.
+    clipped: Clipped = Clipped()
     #: Noise of a taxel at half the range, and untouched, in the unit of the skin, that the sensor
     #: adds to a truth; None: that of the paper's skin.
     sigmas: tuple[float, float] | None = None
-    clock: DeviceClock | None = (
-        None  # of the stamps of its frames; None: they have none
-    )
+    #: Of the stamps of its frames; None: they have none
+    clock: DeviceClock | None = None
     stamp: int = 0  # of the last frame on that clock
     # The sensor sets these:
     period_s: float = 1 / DEFAULT_RATE_HZ  # time between the frames that it reads
@@ -80,7 +74,9 @@ class Source:
         """Frames a second that a sensor reads where its settings state no rate; 0: as they come."""
         if self.rate_hz is not None:
             return self.rate_hz
-        return 0.0 if self.is_live else DEFAULT_RATE_HZ
+        if self.is_live:
+            return 0.0
+        return DEFAULT_RATE_HZ
 
     @property
     def is_there(self) -> bool:
@@ -180,7 +176,8 @@ def about(make: Callable[..., object]) -> str:
     """A few words for a `Listing` on what a function makes: the first line of its docstring, to a
     colon, without "Return".
     """
-    words = (make.__doc__ or "").partition("\n")[0].rstrip(".").partition(":")[0]
+    first_line = (make.__doc__ or "").partition("\n")[0]
+    words = first_line.rstrip(".").partition(":")[0]
     return words.removeprefix("Return ")
 
 
@@ -193,9 +190,8 @@ class Address(ABC):
     layout: Layout = EMPTY
     seed: int = 0  # of a scene
     raw: bool = False  # readings have any sign and size, as a calibration converts them
-    points: str = (
-        ""  # file with the places of the taxels of a skin of points; "": a grid
-    )
+    #: File with the places of the taxels of a skin of points; "": a grid
+    points: str = ""
     described: SkinDescription | None = None  # what the file of the skin states
     # Number of patches, their skin, and the part that is pressed, for a scene of a body:
     n_patches: int = 1
@@ -204,9 +200,8 @@ class Address(ABC):
     form: ClassVar[str] = "module:callable"  # of such addresses, for help and errors
     #: As of the source it opens; None: only that shows it.
     delivers: ClassVar[Literal["truth", "taxels"] | None] = None
-    own: ClassVar[
-        tuple[str, ...]
-    ] = ()  # settings that such a source has itself: not to be stated
+    #: Settings that such a source has itself: not to be stated.
+    own: ClassVar[tuple[str, ...]] = ()
     #: Keys of `Layout` that such a source uses; no other may be stated.
     keys: ClassVar[tuple[str, ...]] = KEYS
 

@@ -38,21 +38,20 @@ def find_kind(kind: str, where: str = "") -> type[Address]:
     """Class of the addresses of one of `kinds`. Raises SourceError, after `where`, if its plug-in
     cannot be imported.
     """
-    address: type[Address]
     if kind in KINDS:
-        address = cast("type[Address]", find_callable(KINDS[kind], SourceError))
-    else:
-        address = load(ADDRESSES, kind, SourceError, where)
+        return cast("type[Address]", find_callable(KINDS[kind], SourceError))
+    address: type[Address] = load(ADDRESSES, kind, SourceError, where)
     return address
 
 
 def forms() -> str:
     """The forms of addresses."""
-    core = [find_kind(kind).form for kind in KINDS]
-    plugins = [
-        address.form for kind, address in loaded(ADDRESSES).items() if kind not in KINDS
-    ]
-    return f"{', '.join(core + plugins)} or {Address.form}{failures(ADDRESSES)}"
+    forms_of_kinds = [find_kind(kind).form for kind in KINDS]
+    # A plug-in cannot take the place of a kind of the core.
+    for kind, address in loaded(ADDRESSES).items():
+        if kind not in KINDS:
+            forms_of_kinds.append(address.form)
+    return f"{', '.join(forms_of_kinds)} or {Address.form}{failures(ADDRESSES)}"
 
 
 def find_address(source: str, **stated: Any) -> Address:
@@ -68,6 +67,8 @@ def find_address(source: str, **stated: Any) -> Address:
     # Plug-ins are looked up for what is no kind of the core.
     if kind in KINDS or kind in kinds():
         return find_kind(kind, source)(source, **stated)
+
+    # "serial:/dev/x" of a missing plug-in is no driver: its name is no name of Python.
     if not all(part.isidentifier() for part in name.split(".")):
         fault = (
             f"no plug-in for sources {kind}: is installed{suggestion(kind, kinds())}"
@@ -78,6 +79,7 @@ def find_address(source: str, **stated: Any) -> Address:
 
 def _kind_hint(source: str) -> str:
     """A question whether a scene or a file is meant, where the kind is missing."""
+    # Imported for this line alone: it loads the simulation.
     from .scenes.scenes import SCENES
 
     if source in SCENES:
@@ -109,6 +111,7 @@ def check_module(target: str) -> None:
     """
     module = target.partition(":")[0]
     package = module.rpartition(".")[0]
+    # A driver may lie in the current directory, which is not on the path of a command.
     folder = search_here(module)
     spec = None
     try:
@@ -128,7 +131,9 @@ def check_module(target: str) -> None:
         return
 
     # A short name may be a kind of source that was not spelled right.
-    hint = suggestion(module, kinds()) if len(module) < 8 else ""
+    hint = ""
+    if len(module) < 8:
+        hint = suggestion(module, kinds())
     raise SourceError(
         f"{target}: there is no module {module!r}, installed or in {folder}{hint}"
     )

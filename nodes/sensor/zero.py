@@ -51,6 +51,7 @@ class Zero:
             )
         self._skin = skin
         self._n_tare = tare or 0
+        # Who states a tare, 0 too, or the sign has looked at the readings.
         self._invert = bool(invert)
         self._has_level = tare is None and not invert
         self.reset()
@@ -72,8 +73,8 @@ class Zero:
     def forces(self, readings: Floats) -> Floats:
         """Forces of a frame, float32 (n_rows, n_cols), 0 in those of the tare; not clipped."""
         if len(self._untouched) < self._n_tare:
+            # A copy: a program may hand over the same array again, with other readings.
             self._untouched.append(readings.copy())
-
             if len(self._untouched) == self._n_tare:
                 self._baseline = np.median(self._untouched, axis=0).astype(np.float32)
             self.reason = Reason.REST
@@ -85,6 +86,7 @@ class Zero:
         if self._invert:
             forces = -forces
 
+        # Cells without a taxel may read anything: it must not count as clipped or stuck.
         existing = forces
         if self._skin.mask is not None:
             existing = np.where(self._skin.mask, forces, np.float32(0))

@@ -65,25 +65,26 @@ class Chain:
         self._previous: Doubles | None = None
         self._untared: Mask = np.zeros(description.shape, np.bool_)
         self._log = log
-        #: True while the tare at the start waits for frames; once a tare has changed the baseline,
-        #: until whoever publishes it sets it to False.
+        #: True while the tare at the start waits for frames.
         self.is_starting = tare > 0
+        #: True once a tare has changed the baseline, until whoever publishes it sets it to False.
         self.is_news = False
-        self._tared = ""
-        self._tare_left = 0
+
+        self._tared = ""  # the last tare, in words
+        self._tare_left = 0  # frames that it still waits for
         self._taring: list[npt.NDArray[Any]] = []
         if tare:
             self.start_tare(tare)
 
     def process(self, raw: npt.NDArray[Any], stamp_ns: int) -> Floats | None:
         """Return the forces of a frame as `apply`; None for one of the tare at the start."""
-
         if self._tare_left:
             self._taring.append(np.array(raw, dtype=np.float32))
             self._tare_left -= 1
             if not self._tare_left:
                 self.tare(self._taring)
                 self._taring = []
+
         # A touch as the graph starts is not converted with a baseline that is not known yet.
         if self.is_starting:
             self.is_starting = self._tare_left > 0
@@ -112,10 +113,9 @@ class Chain:
         if not hangs:
             self.drift.update(np.nan_to_num(forces), stamp_ns)
 
+        # Counted before they are clipped.
         f_min = description.f_min
         f_max = description.f_max
-
-        # Counted before they are clipped.
         self.clipped.add(forces, f_min, f_max, description.noise or 0.0)
         np.clip(forces, f_min, f_max, out=forces)
         return forces.astype(np.float32)
@@ -129,7 +129,8 @@ class Chain:
         if not is_whole(n_frames, 1, MAX_TARE_FRAMES):
             fault = f"{str(value)[:40]!r} is no number of frames"
             raise RefusedError(f"tare: {fault} (allowed: 1..{MAX_TARE_FRAMES})")
-        limit = MAX_TARE_READINGS // (self.description.n_rows * self.description.n_cols)
+        n_cells = self.description.n_rows * self.description.n_cols
+        limit = MAX_TARE_READINGS // n_cells
         if n_frames > limit:
             raise RefusedError(f"tare: {n_frames} frames of this skin; at most {limit}")
 
@@ -143,15 +144,14 @@ class Chain:
         all of them has no baseline, and no force until the next tare. Noise that is not stated is
         that of these frames.
         """
-
         readings = np.array(frames)
-
         missing = np.isnan(readings)
         self._untared = missing.all(axis=0)
+        # nanmedian warns of columns of NaN alone, and is slower where there is none.
         readings[:, self._untared] = 0.0
-
         median = np.nanmedian if missing.any() else np.median
         medians = median(readings, axis=0).astype(np.float64)
+
         old_baseline = self.description.baseline
         old_values = 0.0 if old_baseline is None else old_baseline
         baseline = np.where(self._untared, old_values, medians)
@@ -192,11 +192,13 @@ class Chain:
 
         deviations = forces[:, has_all].std(axis=0, ddof=1)
         noise = float(np.median(deviations))
-        if 0 < noise < MOVED * self.skin.f_max:
-            rounded = float(f"{noise:.3g}")
-            self.description = replace(self.description, noise=rounded)
-            shape = self.description.shape
-            self.drift = Drift(shape, self.description.f_max, noise, self.drift.rate)
+        if not 0 < noise < MOVED * self.skin.f_max:
+            return
+        rounded = float(f"{noise:.3g}")
+        self.description = replace(self.description, noise=rounded)
+        # Its thresholds are in standard deviations of the noise.
+        shape = self.description.shape
+        self.drift = Drift(shape, self.description.f_max, noise, self.drift.rate)
 
     def state(self) -> dict[str, Any]:
         """State for the operator: frames that a tare waits for, largest drift, last tare."""

@@ -101,11 +101,13 @@ class Response:
             raise SkinFileError(
                 f"response.reading: {n} knots, but response.force has {k}"
             )
+
         for name, values in vars(self).items():
             steps = np.diff(values, axis=0, prepend=0)
             if not ((steps > 0).all() and values.max() <= MAX_NUMBER):
                 allowed = f"must be above 0, at most {MAX_NUMBER:g}, and rise from knot to knot"
                 raise SkinFileError(f"response.{name}: {allowed}")
+
         # Slopes of knots that are too close overflow, which the check refuses.
         with np.errstate(all="ignore"):
             is_allowed = _within_slopes(self.slopes)
@@ -117,13 +119,12 @@ class Response:
     @property
     def slopes(self) -> Doubles:
         """Slopes of the K segments, shape of `reading`, in force per reading."""
-
         # The curve begins at (0, 0).
-        rise = np.diff(self.force, prepend=0.0)
-        shape = (-1, *(1,) * (self.reading.ndim - 1))
-        slopes: Doubles = rise.reshape(shape) / np.diff(
-            self.reading, axis=0, prepend=0.0
-        )
+        rises = np.diff(self.force, prepend=0.0)
+        runs = np.diff(self.reading, axis=0, prepend=0.0)
+        # Rises of all taxels beside the runs of each.
+        shape = (-1, *(1,) * (runs.ndim - 1))
+        slopes: Doubles = rises.reshape(shape) / runs
         return slopes
 
     def forces(self, readings: npt.NDArray[Any]) -> Doubles:
@@ -152,12 +153,10 @@ class SkinDescription:
     f_max: float  # upper end of the range of a taxel, in `unit`, above 0
     unit: str = "N"  # of the calibrated readings, at most 32 printable characters
     pitch_mm: float | None = None  # between the centres of neighbouring taxels
-    mask: Mask | None = (
-        None  # (rows, cols), True where a taxel exists and works; None: all do
-    )
-    baseline: Doubles | None = (
-        None  # (rows, cols), raw readings of the untouched skin; None: 0
-    )
+    #: (rows, cols), True where a taxel exists and works; None: all do
+    mask: Mask | None = None
+    #: (rows, cols), raw readings of the untouched skin; None: 0
+    baseline: Doubles | None = None
     #: (rows, cols), factors of raw readings above the baseline, not 0, negative where a reading
     #: falls with force; None: 1.
     gains: Doubles | None = None
@@ -165,9 +164,8 @@ class SkinDescription:
     #: Standard deviation of an untouched taxel before clipping, in `unit`; None: not measured.
     noise: float | None = None
     noise_mid: float | None = None  # the same at half the range; None: as `noise`
-    f_min: float = (
-        0.0  # lower end of the range, -f_max..0: below 0, noise is not clipped
-    )
+    #: Lower end of the range, -f_max..0: below 0, noise is not clipped
+    f_min: float = 0.0
     #: (rows, cols, 6): place in metres and unit normal of the taxel of each cell of a virtual grid,
     #: as in `Skin`; of cells without a taxel, anything. None: a flat grid.
     points: Floats | None = None
@@ -202,10 +200,12 @@ class SkinDescription:
                 Real(0.0, self.f_max, optional=True).check(key, getattr(self, key))
         except MessageError as error:
             raise SkinFileError(str(error)) from error
+
         if self.n_rows * self.n_cols > MAX_ELEMENTS:
             raise SkinFileError(
                 f"n_rows: {self.n_rows} x {self.n_cols} cells; at most {MAX_ELEMENTS}"
             )
+        # `sigmas` would leave it out.
         if self.noise is None and self.noise_mid is not None:
             raise SkinFileError("noise_mid: is stated without noise")
 
@@ -222,10 +222,9 @@ class SkinDescription:
     def _check_values(self) -> None:
         if self.mask is not None and not self.mask.any():
             raise SkinFileError("mask: leaves no taxel")
-        if (
-            self.baseline is not None
-            and not (np.abs(self.baseline) <= MAX_NUMBER).all()
-        ):
+        # Not `>`, here and in `_within_slopes`: NaN is no number, either.
+        baseline = self.baseline
+        if baseline is not None and not (np.abs(baseline) <= MAX_NUMBER).all():
             raise SkinFileError(f"baseline: expected numbers of at most {MAX_NUMBER:g}")
         if self.gains is not None and not _within_slopes(np.abs(self.gains)):
             raise SkinFileError(
@@ -253,12 +252,14 @@ class SkinDescription:
         """Geometry and range, as messages carry them."""
         exists = np.ones(self.shape, np.bool_) if self.mask is None else self.mask
         pitch_m = None
-        points = None
-        point_rows = None
         if self.pitch_mm is not None:
             pitch_m = self.pitch_mm / 1000.0
+
+        # A skin has a row for each taxel that exists, a grid has one for each cell.
+        points = None
         if self.points is not None:
             points = self.points[exists]
+        point_rows = None
         if self.placement is not None:
             point_rows = self.placement.point_rows(exists)
         return Skin(
@@ -283,6 +284,7 @@ class SkinDescription:
     @property
     def changes_readings(self) -> bool:
         """True if a reading and its force may differ: a baseline, gains or a curve."""
+        # Drift and clipping do not count: they are no part of a description.
         steps = (self.baseline, self.gains, self.response)
         return any(step is not None for step in steps)
 
@@ -290,6 +292,7 @@ class SkinDescription:
         """Forces of raw readings, shape (..., rows, cols), not clipped to the range; 0 in masked
         cells. A fresh array.
         """
+        # In float64: counts of a converter of 24 bits less a baseline near them.
         forces: Doubles = np.array(raw, dtype=np.float64)
         if self.baseline is not None:
             forces -= self.baseline
@@ -303,7 +306,6 @@ class SkinDescription:
 
     def inverted(self) -> SkinDescription:
         """This description for readings that fall where it has them rise with force."""
-
         gains = np.ones(self.shape) if self.gains is None else self.gains
         return replace(self, gains=-gains)
 
@@ -312,10 +314,11 @@ class SkinDescription:
         Raises SourceError, after `where`, if the source has another shape.
         """
         if self.shape != skin.shape:
-            sizes = "{} x {} taxels, but the source has {} x {}".format(
-                *self.shape, *skin.shape
+            own_size = "{} x {}".format(*self.shape)
+            source_size = "{} x {}".format(*skin.shape)
+            raise SourceError(
+                f"{where}: describes {own_size} taxels, but the source has {source_size}"
             )
-            raise SourceError(f"{where}: describes {sizes}")
 
         points = self.points
         if points is None:
@@ -354,7 +357,9 @@ def _in_single(array: Doubles | None) -> Floats | None:
 
 def _in_double(array: Floats | None) -> Doubles | None:
     """An array of a message in the precision of a description."""
-    return None if array is None else array.astype(np.float64)
+    if array is None:
+        return None
+    return array.astype(np.float64)
 
 
 def _within_slopes(sizes: Doubles) -> bool:

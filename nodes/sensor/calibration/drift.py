@@ -40,9 +40,8 @@ class DriftTuning:
     #: reading creeps back after a press.
     hold_s: float = 5.0
     period_s: float = 0.05  # shortest time between two updates
-    gap_s: float = (
-        0.5  # longest time that one update stands for: a pause is not made up for
-    )
+    #: Longest time that one update stands for: a pause is not made up for
+    gap_s: float = 0.5
     #: Time of which the drift of a taxel is undone where a press is noticed, at least, and twice
     #: that at most: it began before.
     undo_s: float = 1.5
@@ -130,6 +129,7 @@ class Drift:
         pressed = self._lightly_pressed(self._sum / self._n, dt_s)
         self._sum = np.zeros_like(forces)
         self._n = 0
+
         touched = pressed | (forces > 2 * self.threshold)
         touched |= self._fast[0] > self.threshold
         # The neighbours of a touched taxel carry a part of the load.
@@ -153,8 +153,8 @@ class Drift:
     def _follow(self, dt_s: float, stamp_ns: int) -> None:
         """Add what the smoothed force shows of the drift in `dt_s`, where nothing touches."""
         max_step = self.rate * self._f_max * dt_s
-
-        step = np.clip(self._fast[0] * (dt_s / TUNING.tau_s), -max_step, max_step)
+        step = self._fast[0] * (dt_s / TUNING.tau_s)
+        np.clip(step, -max_step, max_step, out=step)
         since_touch_ns = stamp_ns - self._touched_ns
         step[since_touch_ns < TUNING.hold_s * 1e9] = 0.0
         self.value += step
@@ -166,6 +166,7 @@ class Drift:
         """Taxels under presses too light for a touch, by the mean of the last dt_s seconds."""
         self._n_updates += 1
         means = np.stack([mean, of_nine(mean, np.add) / 9])
+
         # At first the mean of all: one frame would be believed for as long as the slow low pass.
         fast = max(1 - math.exp(-dt_s / TUNING.fast_s), 1 / self._n_updates)
         slow = max(1 - math.exp(-dt_s / TUNING.slow_s), 1 / self._n_updates)
@@ -175,13 +176,13 @@ class Drift:
         # Variance of a first-order low pass of white noise: a / (2 - a) of it.
         variance = fast / (2 - fast) + slow / (2 - slow)
         sigma = self._sigma * math.sqrt(variance / self._n)
+        # The difference of the low passes under the largest drift: see the module.
         drift = TUNING.step_drifts * self.rate * (TUNING.slow_s - TUNING.fast_s)
         smallest = max(TUNING.step_least, drift) * self._f_max
         threshold = np.maximum(TUNING.step_sigmas * sigma, smallest)
 
-        step: Doubles = self._fast - self._slow
-
         # A fall of the same size ends a press, too.
+        step: Doubles = self._fast - self._slow
         self._risen &= step > -threshold
         begins = (step > threshold) & ~self._risen
         self._base[begins] = self._slow[begins]

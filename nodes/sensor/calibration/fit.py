@@ -72,6 +72,7 @@ def read_load(text: str) -> float:
     if match is not None:
         number, unit = match.groups()
         force = float(number) * NEWTONS[unit]
+    # "0g" matches, too: no gain follows from it.
     if not force:
         raise CalibrationError(f"{text[:40]!r} is no load; allowed are {LOADS}")
     return force
@@ -170,6 +171,7 @@ def fit(
     for press, rise in zip(presses, rises, strict=True):
         _check_still(press, rise, at_rest)
 
+    # Before the fit: a dead taxel would have an absurd gain.
     even = _even_loads(presses, rises)
     dead = np.zeros(shape, np.bool_)
     if even:
@@ -200,28 +202,25 @@ def fit(
         f_max=MAX_NUMBER,  # until the forces of the presses are known
         unit="N" if presses else unit,
         pitch_mm=pitch_mm,
-        mask=None if works.all() else works,
         baseline=at_rest.baseline,
         gains=gains,
         response=response,
     )
+    if not works.all():
+        skin = replace(skin, mask=works)
     forces = [skin.forces(at_rest.baseline + rise) for rise in rises]
     if f_max is None:
         f_max = _range_of([frame[works] for frame in forces], remarks)
-    sigma = min(_noise_in_newtons(skin, at_rest.noise, works), f_max)
-    f_min = 0.0
-    if keep_noise:
-        f_min = max(-float(f"{KEPT_SIGMAS * sigma:.1e}"), -f_max)
+
+    measured = zip(presses, rises, forces, strict=True)
     return Fit(
-        replace(skin, f_max=f_max, noise=float(f"{sigma:.3g}"), f_min=f_min),
+        _with_range(skin, at_rest.noise, works, f_max, keep_noise),
         n_frames=len(untouched),
         noise_raw=at_rest.typical_noise,
         stuck=int(at_rest.stuck.sum()),
         noisy=int(at_rest.noisy.sum()),
         dead=int(dead.sum()),
-        presses=[
-            _result(*each, works) for each in zip(presses, rises, forces, strict=True)
-        ],
+        presses=[_result(*press_forces, works) for press_forces in measured],
         remarks=remarks,
     )
 
@@ -273,12 +272,15 @@ def _at_rest(
 ) -> _Rest:
     """Baseline and noise of the taxels, and those whose readings show that they are faulty."""
     baseline, noise, unsteady = steady(untouched)
-
     stuck = exists & _stuck(untouched, presses)
     works = exists & ~stuck
-    typical_noise = float(np.median(noise[works])) if works.any() else 0.0
+    # Without noise at all, as of a coarse converter, no taxel is noisier than others.
+    typical_noise = 0.0
+    if works.any():
+        typical_noise = float(np.median(noise[works]))
     noisy = works & (noise > NOISY * typical_noise) & (typical_noise > 0)
 
+    # One remark is enough: a touch makes taxels noisy and readings unsteady.
     n_noisy = int(noisy.sum())
     unsteady_share = float(unsteady[exists].mean())
     if n_noisy > TOUCHED_SHARE * exists.sum():
@@ -306,6 +308,7 @@ def _range_of(forces: Sequence[Doubles], remarks: list[str]) -> float:
     if not forces:
         raise CalibrationError("the range is not known: state f_max, or add presses")
     largest = max(float(frame.max()) for frame in forces)
+    # Two digits: a number that a person reads, and may state instead.
     f_max = float(f"{HEADROOM * largest:.2g}")
     remarks.append(
         f"f_max = {f_max:g} N is {HEADROOM:g} times the largest force of a press"
@@ -313,14 +316,22 @@ def _range_of(forces: Sequence[Doubles], remarks: list[str]) -> float:
     return f_max
 
 
-def _noise_in_newtons(skin: SkinDescription, noise: Doubles, works: Mask) -> float:
-    """Noise of the median taxel, in the unit of the forces, from that of raw readings."""
+def _with_range(
+    skin: SkinDescription, noise: Doubles, works: Mask, f_max: float, keep_noise: bool
+) -> SkinDescription:
+    """A skin with its range, and the noise of its median taxel by that of raw readings."""
     slope = np.ones(skin.shape)  # force per raw reading, near 0
     if skin.gains is not None:
         slope = np.abs(skin.gains)
     if skin.response is not None:
         slope = slope * skin.response.slopes[0]
-    return float(np.median((noise * slope)[works]))
+    sigma = min(float(np.median((noise * slope)[works])), f_max)
+
+    # To as many digits as so few frames state.
+    f_min = 0.0
+    if keep_noise:
+        f_min = max(-float(f"{KEPT_SIGMAS * sigma:.1e}"), -f_max)
+    return replace(skin, f_max=f_max, noise=float(f"{sigma:.3g}"), f_min=f_min)
 
 
 def steady(frames: npt.NDArray[Any]) -> tuple[Doubles, Doubles, Doubles]:
@@ -349,12 +360,13 @@ def _check_still(press: Press, rise: Doubles, at_rest: _Rest) -> None:
     works = at_rest.works
 
     # Sums over all taxels: a load that moves keeps its sum, frame by frame.
-    above = (
-        np.asarray(press.frames, dtype=np.float64)[:, works] - at_rest.baseline[works]
-    )
+    readings = np.asarray(press.frames, dtype=np.float64)[:, works]
+    above = readings - at_rest.baseline[works]
     frame_sum = float(np.median(above.sum(axis=1)))
     steady_sum = float(rise[works].sum())
-    chance = TOUCHED * math.sqrt(float(np.square(at_rest.noise[works]).sum()))
+
+    noise_of_sum = math.sqrt(float(np.square(at_rest.noise[works]).sum()))
+    chance = TOUCHED * noise_of_sum
     if abs(frame_sum - steady_sum) > MOVED * abs(frame_sum) + chance:
         sums = f"its frames add up to {frame_sum:.4g}, the readings that stay to {steady_sum:.4g}"
         raise CalibrationError(
@@ -364,11 +376,10 @@ def _check_still(press: Press, rise: Doubles, at_rest: _Rest) -> None:
 
 def _stuck(untouched: npt.NDArray[Any], presses: Sequence[Press]) -> Mask:
     """Taxels whose reading never changes, where that of most does."""
-
-    # A skin that is silent as a whole is no set of stuck taxels: see the end.
     still = np.ones(untouched.shape[1:], dtype=np.bool_)
     for frames in (untouched, *(press.frames for press in presses)):
         still &= (frames == untouched[0]).all(axis=0)
+    # A skin that is silent as a whole is no set of stuck taxels.
     if still.mean() >= 0.5:
         return np.zeros_like(still)
     return still
@@ -382,7 +393,8 @@ def _dead(even: Sequence[_EvenLoad], works: Mask) -> Mask:
         cells = area & works
         if not cells.any():
             raise CalibrationError(f"{press.label}: no taxel under it works")
-        # Readings may fall with force: the sign of the median taxel is that of all.
+        # Readings may fall with force: the sign of the median taxel is that of all. A product,
+        # so that both signs are compared in one way.
         median_rise = float(np.median(rise[cells]))
         covered |= cells
         responds |= cells & (rise * median_rise > DEAD * median_rise**2)
@@ -406,10 +418,12 @@ def _even_fit(
     gains = _least_squares_gains(rise, target.reshape(-1, 1, 1), works, remarks)
     if is_straight:
         return gains, None
+
+    # A reading of a taxel times its gain is that of the median taxel: one curve fits all.
     if curve == "shared":
         return gains, Response(scale * median_rise, forces)
 
-    # Of each taxel; that of the median taxel where its own is not known.
+    # Of each taxel; that of the median taxel where its own is not known, or would not be a curve.
     readings = scale * rise
     rises_always = (np.diff(readings, axis=0, prepend=0) > 0).all(axis=0)
     median_readings = scale * median_rise.reshape(-1, 1, 1)
@@ -431,7 +445,6 @@ def _rise_by_force(even: Sequence[_EvenLoad], works: Mask) -> tuple[Doubles, Dou
         cells = load.area & works
         total[k] += np.where(cells, load.rise, 0.0)
         n_presses[k] += cells
-
     rise = np.full(shape, np.nan)
     np.divide(total, n_presses, out=rise, where=n_presses > 0)
     return forces, rise
@@ -439,6 +452,7 @@ def _rise_by_force(even: Sequence[_EvenLoad], works: Mask) -> tuple[Doubles, Dou
 
 def _check_rising(median_rise: Doubles, forces: Doubles) -> None:
     """Raise CalibrationError unless the readings all rise, or all fall, with force."""
+    # The largest load shows the sign best.
     sign = math.copysign(1.0, median_rise[-1])
     if (np.diff(sign * median_rise, prepend=0) > 0).all():
         return
@@ -453,12 +467,12 @@ def _least_squares_gains(
     rise: Doubles, target: Doubles, works: Mask, remarks: list[str]
 ) -> Doubles:
     """Gain of each taxel through 0 from its rise to the target; the median where none is known."""
+    # A load that does not cover a taxel has no part in its sums.
     rise = np.nan_to_num(rise)
     energy = np.square(rise).sum(axis=0)
+    product = (rise * target).sum(axis=0)
     gains = np.full(works.shape, np.nan)
-    np.divide(
-        (rise * target).sum(axis=0), energy, out=gains, where=works & (energy > 0)
-    )
+    np.divide(product, energy, out=gains, where=works & (energy > 0))
 
     has_gain = np.isfinite(gains)
     gains[~has_gain] = np.median(gains[has_gain])
@@ -490,8 +504,8 @@ def _common_gain(
 
     # Least squares through 0.
     gain = float(total @ force / (total @ total))
-
     error = np.abs(gain * total / force - 1)
+    # By more than weights and noise explain.
     if error.max() > 0.1:
         worst = presses[int(error.argmax())].label
         remedy = "even loads over a stated area give each taxel its own"
@@ -505,7 +519,6 @@ def _common_gain(
 def _result(press: Press, rise: Doubles, forces: Doubles, works: Mask) -> PressResult:
     if press.area is None:
         return PressResult(press.label, press.force, float(forces[works].sum()))
-
     cells = press.area & works
 
     # Taxels that do not work carry their part of the load.

@@ -37,14 +37,17 @@ class Doubt:
         has_level: bool,
         is_inverted: bool = False,
     ) -> None:
+        if clipped is None:
+            clipped = Clipped(mask=skin.mask)
         self._skin = skin
-        self.clipped = Clipped(mask=skin.mask) if clipped is None else clipped
+        self.clipped = clipped
         self._rest = Rest(skin) if has_level else None
         self._repeats = Repeats(skin)
         self._is_inverted = is_inverted
-        self._is_new = False
         self._sign_found = False
+        #: Line on the sign; `_is_new` until `take_line` has returned one on sign or rest.
         self._line = ""
+        self._is_new = False
 
     @property
     def is_settled(self) -> bool:
@@ -77,6 +80,7 @@ class Doubt:
     def widen(self, f_max: float) -> None:
         """Raise the upper end of the range."""
         self._skin = replace(self._skin, f_max=f_max)
+        # float32, as the readings that it is compared with.
         self._repeats.f_max = np.float32(f_max)
         if self._rest is not None:
             self._rest.skin = self._skin
@@ -104,6 +108,7 @@ class Doubt:
         if self._rest is not None and self._rest.update(forces):
             self._is_new = True
 
+        # The line is made once, with the counts of that frame: later ones are larger.
         sign = self.clipped.sign
         if sign.is_found and not self._sign_found:
             self._is_new = True
@@ -113,6 +118,7 @@ class Doubt:
         # The margin of a frame is used once: not all sources count what is clipped.
         repeats = self._repeats.reason(forces, self.clipped.margin, missing)
         self.clipped.margin = None
+        # What doubts all frames comes before what is of this one.
         return self.level or self.clipped.reason(self._skin.n_taxels) or repeats
 
     def filled(self, forces: Floats) -> Floats:
@@ -134,7 +140,6 @@ def line_on_sign(
     """Line on the sign of raw frames, (n, n_rows, n_cols), of a skin that was calibrated without a
     press, as `Doubt.line`.
     """
-
     # The baseline is that of these frames: none of them has a level.
     doubt = Doubt(described.skin, has_level=False, is_inverted=is_inverted)
     for raw in frames:

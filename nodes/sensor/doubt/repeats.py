@@ -87,19 +87,21 @@ class Repeats:
         if margin is None:
             taxels = readings if self._are_all else readings[self._exists]
             margin = self._margin.of(taxels, float(self.f_max), None)
-        before = self._last
+
+        previous = self._last
         self._last = readings.copy()
         # A force that stands for a missing reading repeats nothing: NaN equals no number.
         if missing is not None:
             self._last[missing.reshape(-1)] = np.nan
-        if readings.size != before.size:
+        if readings.size != previous.size:
             self._repeated = self._repeated[:0]
             self._runs = self._runs[:0]
             self._counted_repeated = self._counted_repeated[:0]
             return ""
 
-        is_repeated = np.logical_and(self._last == before, readings)
-        self._count(some_of(before), some_of(is_repeated), margin)
+        is_repeated = np.logical_and(self._last == previous, readings)
+        self._count(some_of(previous), some_of(is_repeated), margin)
+
         # Hardly a taxel repeats: what follows is done for those alone.
         repeated = np.flatnonzero(is_repeated)
         self._extend_runs(repeated, readings.size)
@@ -108,20 +110,25 @@ class Repeats:
         needed = self._needed()
         if self._runs.max() < needed:
             return ""
+
         at_end = readings[repeated] >= self.f_max
         is_stuck = self._runs >= np.where(at_end, max(needed, LEAST_RUN_AT_END), needed)
         stuck = repeated[is_stuck]
+        # All that read anything: the board hangs, and no taxel is to be filled in.
         n_nonzero = np.count_nonzero(np.nan_to_num(self._last))
         is_frozen = stuck.size == n_nonzero
         if not is_frozen:
             mask = np.zeros(forces.shape, np.bool_)
             mask.flat[repeated[is_stuck & ~at_end]] = True
             self._set_stuck(mask)
+
         if not self._matters(readings, stuck):
             return ""
         if is_frozen:
             return Reason.FROZEN
-        return Reason.CLIPPED if at_end[is_stuck].all() else Reason.STUCK
+        if at_end[is_stuck].all():
+            return Reason.CLIPPED
+        return Reason.STUCK
 
     def _set_stuck(self, stuck: Mask) -> None:
         self.stuck = stuck
@@ -153,28 +160,29 @@ class Repeats:
         works = self._exists.reshape(forces.shape) & ~self.stuck
         return np.where(self.stuck, mean_of_near(forces, works), forces)
 
-    def _count(self, before: Floats, is_repeated: Mask, margin: float) -> None:
+    def _count(self, previous: Floats, is_repeated: Mask, margin: float) -> None:
         """Add the pairs of readings of untouched taxels to the counts, by some of the taxels: their
         readings in the frame before, and whether they repeat these.
         """
-        untouched = np.abs(before) <= margin
+        untouched = np.abs(previous) <= margin
         if not self._are_all:
             untouched &= self._counted_exist
-        shown = np.logical_and(untouched, before)
+        noisy = np.logical_and(untouched, previous)
         self._n_untouched += int(np.count_nonzero(untouched))
-        self._n_shown += int(np.count_nonzero(shown))
+        self._n_shown += int(np.count_nonzero(noisy))
 
         # The first reading of a pair is no repetition itself.
-        if self._counted_repeated.size == shown.size:
-            shown &= ~self._counted_repeated
+        if self._counted_repeated.size == noisy.size:
+            noisy &= ~self._counted_repeated
         self._counted_repeated = is_repeated
-        self._n_pairs += int(np.count_nonzero(shown))
-        self._n_repeated += int(np.count_nonzero(shown & is_repeated))
+        self._n_pairs += int(np.count_nonzero(noisy))
+        self._n_repeated += int(np.count_nonzero(noisy & is_repeated))
 
     def _needed(self) -> float:
         """Number of repetitions of a stuck taxel; infinite where none shows."""
         if self._n_shown < SHOWN * self._n_untouched:
             return math.inf
+        # One more of each: before the first repetition none is ruled out.
         probability = QUIETER * (self._n_repeated + 1) / (self._n_pairs + 1)
         if probability >= USUAL:
             return math.inf

@@ -39,9 +39,8 @@ class Rest:
         self._noise = MeasuredNoise()
         self._sum: Doubles = np.zeros(skin.shape)
         self._n_frames = 0  # of the sum
-        self._levels: Doubles = np.zeros(
-            0
-        )  # of the taxels at first, while they are lifted
+        #: Of the taxels at first, while they are lifted.
+        self._levels: Doubles = np.zeros(0)
         self._is_first = True  # the first frames pass
         self.is_settled = False
 
@@ -95,7 +94,6 @@ class Rest:
     def _look(self) -> None:
         """Find whether the mean of the frames so far is a level."""
         means = self._sum[self.skin.exists] / self._n_frames
-
         # Dead taxels read 0, and are no sign of rest.
         n_below = math.ceil(DEAD * means.size)
         if n_below >= means.size:

@@ -33,6 +33,7 @@ class SceneAddress(Address):
     own = ("n_rows", "n_cols", "unit", "f_max", "skin", "tare", "drift", "f_min")
 
     def check(self) -> None:
+        # Without opening a scene where its name shows the fault: a simulation loads slowly.
         name = self.rest
         on_grid = name in SCENES
         has_points = bool(self.points) or "points" in (self.simulated or {})
@@ -66,8 +67,8 @@ class SceneAddress(Address):
     def _described(self) -> SkinDescription:
         """The skin of each patch of a body."""
         table: dict[str, Any] = {"name": self.rest, "f_max": PAPER_F_MAX_N}
-
         table |= self.simulated or {"n_rows": 64, "n_cols": 64}
+        # The pitch of points follows from their places.
         if "points" not in table:
             table.setdefault("pitch_mm", PITCH_MM)
         return parse_skin(table, "simulated", Path())
@@ -91,6 +92,7 @@ class SceneAddress(Address):
                 sigmas=described.sigmas,
             )
 
+        # Refused by `SensorSettings`; other callers have `open` alone.
         for name in ("n_rows", "n_cols", "unit", "f_max"):
             value = getattr(self.layout, name)
             if value is not None:
@@ -108,6 +110,7 @@ class SceneAddress(Address):
             Listing("scenes", "scenes", _entries(flat)),
             Listing("points", title, _entries(point_scenes())),
         ]
+        # Layouts that need no file, of the plug-in for points.
         for skins in loaded(POINTS).values():
             listings += skins.listings()
         return tuple(listings)

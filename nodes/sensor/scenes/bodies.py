@@ -38,9 +38,8 @@ class Sole:
     """The underside of a body as a height map."""
 
     heights: Doubles  # (n_y, n_x), m above its lowest point; FAR_M beside it, at all edges too
-    x_min: (
-        float  # body coordinates of heights[0, 0], m; the centre of mass is at (0, 0)
-    )
+    #: Body coordinates of heights[0, 0], m; the centre of mass is at (0, 0).
+    x_min: float
     y_min: float
     grid_m: float = GRID_M
 
@@ -110,7 +109,8 @@ def roller(
         across = np.abs(y - y_axis)
         inside = (x >= x_min) & (x <= x_max) & (across <= radius)
         drop = np.sqrt(np.maximum(radius**2 - across**2, 0.0))
-        return np.where(inside, radius - drop + slope * (x_max - x), FAR_M)
+        height = radius - drop + slope * (x_max - x)
+        return np.where(inside, height, FAR_M)
 
     return underside
 
@@ -149,14 +149,16 @@ def _distance(
     x: Doubles, y: Doubles, start: tuple[float, float], end: tuple[float, float]
 ) -> Doubles:
     """Distance of points from a segment."""
+    start_x, start_y = start
     along = np.array(end) - np.array(start)
-    share = ((x - start[0]) * along[0] + (y - start[1]) * along[1]) / float(
-        along @ along
-    )
-    share = np.clip(share, 0.0, 1.0)
-    away: Doubles = np.hypot(
-        x - start[0] - share * along[0], y - start[1] - share * along[1]
-    )
+    along_x, along_y = along
+    from_x = x - start_x
+    from_y = y - start_y
+
+    # Share of the segment at the point of it that is nearest.
+    projection = from_x * along_x + from_y * along_y
+    share = np.clip(projection / float(along @ along), 0.0, 1.0)
+    away: Doubles = np.hypot(from_x - share * along_x, from_y - share * along_y)
     return away
 
 
@@ -171,6 +173,7 @@ def build_sole(
     force grows over a radius, where it would jump on a needle. `bounds` are those of the body.
     """
     body_x_min, body_x_max, body_y_min, body_y_max = bounds
+    # As far as a taxel feels the body, and an edge of the map that is all FAR_M.
     margin = taxel_radius_m + 2 * GRID_M
     x_min = body_x_min - margin
     y_min = body_y_min - margin
@@ -195,6 +198,7 @@ def _eroded(heights: Doubles, radius_m: float) -> Doubles:
     if reach:
         # Strictly inside the radius: at the radius itself the sphere is touched on its equator.
         within = distance2 < radius_m**2 * (1 - 1e-9)
+    # Of the sphere's surface over its top, 0 or less.
     lift = np.sqrt(np.maximum(radius_m**2 - distance2, 0.0)) - radius_m
 
     n_y, n_x = heights.shape
@@ -221,11 +225,9 @@ def wooden_cube(taxel_radius_m: float) -> Body:
     side = 0.1
     mass = 0.5167
     half = side / 2
-    sole = build_sole(
-        [slab(-half, half, -half, half, 0.0)],
-        (-half, half, -half, half),
-        taxel_radius_m,
-    )
+    bounds = (-half, half, -half, half)
+    sole = build_sole([slab(*bounds, 0.0)], bounds, taxel_radius_m)
+    # Of a solid cube.
     return Body(sole, mass, mass * side**2 / 6)
 
 
@@ -236,9 +238,9 @@ def metal_peg(taxel_radius_m: float) -> Body:
     length = 0.06
     density = 2700.0
     mass = density * math.pi * radius**2 * length
-    sole = build_sole(
-        [disc(radius, 0.0)], (-radius, radius, -radius, radius), taxel_radius_m
-    )
+    bounds = (-radius, radius, -radius, radius)
+    sole = build_sole([disc(radius, 0.0)], bounds, taxel_radius_m)
+    # Of a solid cylinder, about an axis across it.
     return Body(sole, mass, mass * (3 * radius**2 + length**2) / 12)
 
 

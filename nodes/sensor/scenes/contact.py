@@ -65,9 +65,8 @@ class RigidBody:
         """q and v of the body after a time step (see the module) on the cells of `bed`, from those
         at its beginning (`Bed.forces`). It may be halved `splits` times.
         """
-
-        loaded0 = bed.forces(q, v).nonzero()[0]
         h = _GAMMA * dt_s
+        loaded0 = bed.forces(q, v).nonzero()[0]
         v1, loaded1 = self._solve_stage(bed, q, v, h)
         if np.array_equal(loaded0, loaded1):
             # Stage 2 extrapolates the slopes of stage 1, v1 and (v1 - v) / h. Where the loaded
@@ -78,8 +77,10 @@ class RigidBody:
             v2, loaded2 = self._solve_stage(bed, q_start, v_start, h)
             if np.array_equal(loaded1, loaded2):
                 return q_start + h * v2, v2
+
+        # Implicit Euler stays stable, whatever the cells do.
         if splits == 0:
-            v_end, _ = self._solve_stage(bed, q, v, dt_s)  # implicit Euler
+            v_end, _ = self._solve_stage(bed, q, v, dt_s)
             return q + dt_s * v_end, v_end
         q, v = self.step(bed, q, v, dt_s / 2, splits - 1)
         return self.step(bed, q, v, dt_s / 2, splits - 1)
@@ -93,7 +94,6 @@ class RigidBody:
         continuous, piecewise linear and monotone in w, and the equation is the gradient of a
         convex function: Newton's method on the set of loaded cells, with step halving, converges.
         """
-
         # Cells that even the free motion does not reach press on nothing.
         free = v + h / self.inertia * self.load
         gap = bed.gap + bed.jacobian @ q
@@ -101,17 +101,20 @@ class RigidBody:
         near = (lowest < 0.0).nonzero()[0]
         if near.size == 0:
             return free, near
+
+        # The push of a cell is max(0, -(spring + slope J w)).
         jacobian = bed.jacobian.take(near, axis=0)
-        spring = bed.stiffness.take(near) * gap.take(near)
-        slope = bed.stiffness.take(near) * h + bed.damping.take(near)
+        stiffness = bed.stiffness.take(near)
+        spring = stiffness * gap.take(near)
+        slope = stiffness * h + bed.damping.take(near)
 
         def cost_of(w: Doubles) -> float:
             """The convex function whose gradient is the residual of the stage equation."""
             push = np.maximum(-(spring + slope * (jacobian @ w)), 0.0)
             off = w - free
-            return float(
-                0.5 * (self.inertia * off) @ off + 0.5 * h * (push / slope) @ push
-            )
+            kinetic = 0.5 * (self.inertia * off) @ off
+            elastic = 0.5 * h * (push / slope) @ push
+            return float(kinetic + elastic)
 
         w = v
         loaded = spring + slope * (jacobian @ w) < 0.0
@@ -120,15 +123,17 @@ class RigidBody:
             matrix = jacobian.T @ (jacobian * (h_loaded * slope)[:, None])
             matrix.flat[:: len(w) + 1] += self.inertia
             right = self.inertia * free - (h_loaded * spring) @ jacobian
-            solution = (
-                right / matrix[0] if len(w) == 1 else np.linalg.solve(matrix, right)
-            )
+            # LAPACK takes ten times as long as a division for the one unknown of a fall.
+            if len(w) == 1:
+                target: Doubles = right / matrix[0]
+            else:
+                target = np.asarray(np.linalg.solve(matrix, right), dtype=np.float64)
 
-            target: Doubles = np.asarray(solution, dtype=np.float64)
             reached = spring + slope * (jacobian @ target) < 0.0
             # With the same cells loaded, the full step has solved the equation exactly.
             if bool((reached == loaded).all()):
                 return target, near[loaded]
+
             cost = cost_of(w)
             trial = target
             for _ in range(_MAX_HALVINGS):

@@ -43,10 +43,12 @@ def lift_box_40() -> Scene:
     In the middle and face parallel, on 20 x 20 taxels: it lands flat, and nothing tilts it. Lifted
     0.12 s after it touched down for the last time; contact ends 1 ms later.
     """
-    body = wooden_cube(TAXEL_RADIUS_M)
-    motion = Lift(at_s=0.685)
     return Scene(
-        name="lift_box_40", n_steps=700, body=body, surface=SKIN, motion=motion
+        name="lift_box_40",
+        n_steps=700,
+        body=wooden_cube(TAXEL_RADIUS_M),
+        surface=SKIN,
+        motion=Lift(at_s=0.685),
     )
 
 
@@ -87,6 +89,7 @@ def drag_wrench_40() -> Scene:
     Dropped as in LIFT WRENCH, and dragged across its length, jaws ahead, over a corner, once the
     worst of the bouncing is over. As it leaves, jaws and handle's end drop to the ground.
     """
+    # It lies along the diagonal: across it, both coordinates change alike.
     across = DRAG_M_S * math.sqrt(0.5)
     return replace(
         lift_wrench_40(),

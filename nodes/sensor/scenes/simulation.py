@@ -78,6 +78,7 @@ class RandomPath:
         time_s = self.at_s
         times = [time_s]
         offsets = [(0.0, 0.0)]
+        # One corner beyond the end, so that the body still moves at it.
         while time_s <= end_s:
             next_corner = rng.uniform(-half, half)
             length = float(np.hypot(*(next_corner - corner)))
@@ -122,17 +123,13 @@ class Scene:
     dt_ns: int = 1_000_000  # from one frame to the next
     body: Body
     surface: Surface
-    drop_height_m: float = (
-        0.5  # above the skin, from which the body falls at the first frame
-    )
+    #: Above the skin, from which the body falls at the first frame
+    drop_height_m: float = 0.5
     motion: Lift | Drag | RandomPath
-    dof: tuple[Literal["z", "pitch", "roll"], ...] = (
-        "z",
-    )  # free coordinates, as of `Terrain`
-    place_m: Place = (
-        0.0,
-        0.0,
-    )  # of the drop, from the middle; `RandomPath` draws its own
+    #: Free coordinates, as of `Terrain`.
+    dof: tuple[Literal["z", "pitch", "roll"], ...] = ("z",)
+    #: Of the drop, from the middle; `RandomPath` draws its own.
+    place_m: Place = (0.0, 0.0)
     yaw_rad: float = 0.0  # rotation of the body about the vertical
     f_max_n: float = PAPER_F_MAX_N
 
@@ -148,10 +145,10 @@ class State:
 
     def write_forces(self, out: Floats) -> None:
         """Write the taxels' forces, in N, to out, float32 of shape (n_rows, n_cols)."""
+        # Cells of the ground come behind those of the skin.
+        forces = self.bed.forces(self.q, self.v)[: self.taxels.size]
         out.fill(0.0)
-        out.reshape(-1)[self.taxels] = self.bed.forces(self.q, self.v)[
-            : self.taxels.size
-        ]
+        out.reshape(-1)[self.taxels] = forces
 
 
 class SceneSource(Source):
@@ -190,6 +187,8 @@ class SceneSource(Source):
             n_until_next = first - step
             if step >= first:
                 n_until_next %= every
+
+            # A slot of the average that is not written holds forces that no mean reads.
             if n_until_next < SMOOTHING_STEPS:
                 state.write_forces(average.newest)
             if n_until_next > 0:
@@ -211,16 +210,19 @@ class SceneSource(Source):
         terrain = Terrain(
             scene.surface, scene.shape, scene.body.sole, scene.yaw_rad, scene.dof
         )
+
+        # Coordinate 0 is z; the others are tilts, of which gravity has no moment.
+        mass_kg = scene.body.mass_kg
         inertia = np.full(n_dof, scene.body.inertia_kg_m2)
-        inertia[0] = scene.body.mass_kg
+        inertia[0] = mass_kg
         load = np.zeros(n_dof)
-        load[0] = -scene.body.mass_kg * GRAVITY_M_S2
+        load[0] = -mass_kg * GRAVITY_M_S2
         body = RigidBody(inertia, load)
-        q = np.zeros(n_dof)
-        v = np.zeros(n_dof)
 
         # At rest in the air.
+        q = np.zeros(n_dof)
         q[0] = scene.drop_height_m
+        v = np.zeros(n_dof)
 
         dt_s = scene.dt_ns * 1e-9
         motion = scene.motion
@@ -289,5 +291,6 @@ class MovingAverage:
         width = len(self._ring)
         self.skip()
         mean: Floats = self._ring.sum(axis=0)
+        # A float64 factor would make float64 of the mean.
         mean *= np.float32(1.0 / width)
         return mean

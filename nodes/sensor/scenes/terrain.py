@@ -25,9 +25,8 @@ class Surface:
     pitch_m: float  # distance of neighbouring taxels, and of the ground's cells
     stiffness: float  # k in N/m of a taxel
     damping: float  # c in N s/m of a taxel
-    ground_drop_m: float | None = (
-        None  # depth below the tops of the taxels; None: no ground
-    )
+    #: Depth below the tops of the taxels; None: no ground
+    ground_drop_m: float | None = None
     ground_stiffness: float = 1.0e4  # the same of a cell of the ground
     ground_damping: float = 100.0
 
@@ -59,6 +58,7 @@ class Terrain:
         self._dof = dof
         self._yaw = (math.cos(yaw_rad), math.sin(yaw_rad))
         self._searched_at: Place | None = None
+
         # 1 within one pitch of the body, and a little more for the rotated grid.
         margin = math.ceil(1.1 * surface.pitch_m / sole.grid_m)
         window = 2 * margin + 1
@@ -79,11 +79,13 @@ class Terrain:
         at = self._searched_at
         if at is None or math.dist(place, at) > self._surface.pitch_m:
             self._search(place)
+        # In body coordinates the sole is one fixed height map.
         x, y = self._to_body(*place)
         body_x = self._body_x - x
         body_y = self._body_y - y
         gap = self._sole.sample(body_x, body_y)
         gap += self._depth
+
         jacobian = np.ones((gap.size, len(self._dof)))
         if "pitch" in self._dof:
             np.negative(body_x, out=jacobian[:, self._dof.index("pitch")])
@@ -99,20 +101,21 @@ class Terrain:
         """Find the cells that the body can cover while within one pitch of `place`."""
         surface = self._surface
         n_rows, n_cols = self._shape
+        # At any yaw: the farthest corner of the sole, and two pitches more.
         x_min, x_max, y_min, y_max = self._sole.bounds
-        reach = math.hypot(max(-x_min, x_max), max(-y_min, y_max)) + 2 * surface.pitch_m
+        farthest = math.hypot(max(-x_min, x_max), max(-y_min, y_max))
+        reach = farthest + 2 * surface.pitch_m
         cols = self._indices(place[0], reach, n_cols)
         rows = self._indices(place[1], reach, n_rows)
         col, row = (index.ravel() for index in np.meshgrid(cols, rows))
 
         # Places of their centres, and which of them the body can cover.
-        skin_x = np.asarray(
-            (col - (n_cols - 1) / 2) * surface.pitch_m, dtype=np.float64
+        from_middle_x = col - (n_cols - 1) / 2
+        from_middle_y = row - (n_rows - 1) / 2
+        body_x, body_y = self._to_body(
+            np.asarray(from_middle_x * surface.pitch_m, dtype=np.float64),
+            np.asarray(from_middle_y * surface.pitch_m, dtype=np.float64),
         )
-        skin_y = np.asarray(
-            (row - (n_rows - 1) / 2) * surface.pitch_m, dtype=np.float64
-        )
-        body_x, body_y = self._to_body(skin_x, skin_y)
         x, y = self._to_body(*place)
         near = self._vicinity.sample(body_x - x, body_y - y) > 0.0
         on_skin = (col >= 0) & (col < n_cols)
@@ -137,8 +140,9 @@ class Terrain:
     def _indices(self, middle: float, reach: float, count: int) -> Indices:
         """Return the indices of the rows or columns of cells within `reach` of `middle`."""
         pitch = self._surface.pitch_m
-        start = math.floor((middle - reach) / pitch + (count - 1) / 2)
-        stop = math.ceil((middle + reach) / pitch + (count - 1) / 2) + 1
+        index_of_middle = (count - 1) / 2
+        start = math.floor((middle - reach) / pitch + index_of_middle)
+        stop = math.ceil((middle + reach) / pitch + index_of_middle) + 1
         # Without ground around the skin there are no cells beyond its sides.
         if self._surface.ground_drop_m is None:
             start = max(start, 0)

@@ -44,9 +44,8 @@ class Tiling:
     """Times of the presses of a scene."""
 
     body: Callable[[tuple[int, int], float], Body]
-    active: (
-        float  # part of the patches that are pressed in a period; all others are idle
-    )
+    #: Part of the patches that are pressed in a period; all others are idle.
+    active: float
     period_s: float
     pressed_s: float
     moves: bool = False  # other patches are pressed in each period
@@ -100,6 +99,7 @@ class TiledScene(Source):
         self._press = _press(name, skin.shape, skin.pitch_m, skin.f_max)
 
     def __iter__(self) -> Iterator[tuple[int, Floats]]:
+        # `period_s` may change meanwhile: the sensor sets it.
         t_s = 0.0
         while True:
             yield round(1e9 * t_s), self.forces(t_s)
@@ -128,6 +128,7 @@ class TiledScene(Source):
         for period in {newest, newest - 1} - {-1}:
             begin = period * n if tiling.moves else 0
             for k in range(n):
+                # Evenly over `spread_s`, the first one at its begin and the last one at its end.
                 late_s = tiling.spread_s * k / max(1, n - 1)
                 if tiling.alternate and k % 2:
                     late_s += tiling.period_s / 2
@@ -141,6 +142,7 @@ class TiledScene(Source):
         """Number of the frame of the press."""
         remaining_s = self._tiling.pressed_s - since_s
         in_press_s = min(since_s, self._tiling.settle_s)
+        # The lift ends with the press, however long the body has rested.
         if remaining_s < LIFT_S:
             in_press_s = self._tiling.settle_s + LIFT_S - remaining_s
         return min(len(self._press) - 1, int(in_press_s / FRAME_S))
@@ -161,7 +163,7 @@ def _press(name: str, shape: tuple[int, int], pitch_m: float, f_max: float) -> F
         motion=Lift(at_s=tiling.settle_s),
         f_max_n=f_max,
     )
-    stride = round(1e3 * FRAME_S)
+    stride = round(1e3 * FRAME_S)  # the simulation has steps of 1 ms
     frames = islice(SceneSource(scene, 0), 0, None, stride)
     return np.stack([forces for _, forces in frames])
 
@@ -178,14 +180,17 @@ def _limb(shape: tuple[int, int], pitch_m: float) -> Body:
     else:
         end_y = 0.25 * height
 
-    # Half the width of the contact at that depth.
+    # Half the width of the contact at that depth, of a circle that is large against it.
     half = math.sqrt(2 * radius * SINK_M)
-    area = (2 * math.hypot(end_x, end_y) + 2 * half) * 2 * half
+    length = 2 * math.hypot(end_x, end_y) + 2 * half
+    area = length * 2 * half
     bead = capsule((-end_x, -end_y), (end_x, end_y), radius)
     bounds = (-end_x - radius, end_x + radius, -end_y - radius, end_y + radius)
 
+    # Under a round bead taxels sink less to its sides.
     mass = _mass(min(area, height * width), pitch_m, 0.6)
-    return Body(build_sole([bead], bounds, pitch_m / 2), mass, mass * radius**2)
+    sole = build_sole([bead], bounds, pitch_m / 2)
+    return Body(sole, mass, mass * radius**2)
 
 
 def _foot(shape: tuple[int, int], pitch_m: float) -> Body:
@@ -194,6 +199,7 @@ def _foot(shape: tuple[int, int], pitch_m: float) -> Body:
     width = shape[1] * pitch_m
     long = max(height, width)
     wide = min(height, width)
+    # Begin and end along the foot, and half the width, about those of a shoe.
     heel = (-0.4 * long, -0.12 * long, 0.16 * wide)
     ball = (0.03 * long, 0.4 * long, 0.24 * wide)
     is_along_x = width >= height
