@@ -75,7 +75,8 @@ class Rest:
         is_last = self._n_frames == TARE_FRAMES
 
         if self._is_first:
-            self._noise.update(forces)
+            # A copy: a program may fill one array with frame after frame.
+            self._noise.update(forces.copy())
             self._look()
             self.is_settled |= is_last and not self._levels.size
         elif is_last:

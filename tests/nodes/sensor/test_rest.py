@@ -127,6 +127,23 @@ def test_a_frame_with_more_than_1_percent_of_clipped_readings_is_not_trusted(
     assert clipped.reason(SKIN.n_taxels) == ""
 
 
+@given(seed=st.integers(0, 2**32 - 1))
+@settings(max_examples=10, deadline=None)
+def test_one_array_that_is_filled_anew_has_the_doubts_of_fresh_arrays(seed):
+    """A program may read each frame into the same array: it shows the same noise."""
+    rng = np.random.default_rng(seed)
+    sigma = rng.uniform(0.011, 0.1)
+    frames = (sigma / 2 + rng.normal(0, sigma, (TARE_FRAMES, *SKIN.shape))).clip(0)
+    buffer = np.zeros(SKIN.shape, np.float32)
+    fresh = Zero(SKIN)
+    reused = Zero(SKIN)
+    for frame in frames.astype(np.float32):
+        fresh.forces(frame)
+        buffer[:] = frame
+        reused.forces(buffer)
+        assert reused.reason == fresh.reason
+
+
 def test_one_broken_taxel_is_no_sign_once_a_press_has_raised_readings():
     clipped = Clipped()
     frame = np.zeros(SKIN.shape)
