@@ -55,22 +55,28 @@ def checked(error: type[SparseskinError]) -> Callable[[Callable[P, R]], Callable
         name = function.__name__
         signature = inspect.signature(function)
 
+        # When it is first called: the names in annotations may be defined below the function.
         @functools.cache
         def hints() -> dict[str, Any]:
             return typing.get_type_hints(function)
 
         @functools.wraps(function)
         def call(*args: P.args, **kwargs: P.kwargs) -> R:
+            # Python's own TypeError would be a traceback, and name no argument that there is.
             try:
                 bound = signature.bind(*args, **kwargs)
             except TypeError as cause:
                 expected = ", ".join(signature.parameters)
                 raise error(f"{name}: {cause}; expected: {name}({expected})") from cause
+
             for key, value in bound.arguments.items():
                 allowed = _what_is_allowed(value, hints()[key])
                 if not allowed:
                     continue
-                text = "a masked array" if has_masked(value) else f"{value!r:.60}"
+                text = f"{value!r:.60}"
+                # Its text has many lines.
+                if has_masked(value):
+                    text = "a masked array"
                 raise error(
                     f"{name}: {key} = {text} is not allowed; allowed: {allowed}"
                 )
@@ -86,13 +92,15 @@ def _what_is_allowed(value: object, hint: Any) -> str:
     if has_masked(value):
         return "an array without masked entries, as of its method filled"
     is_union = isinstance(hint, types.UnionType)
+    options = typing.get_args(hint) if is_union else (hint,)
     words = []
-    for option in typing.get_args(hint) if is_union else (hint,):
+    for option in options:
         if option in _CHECKS:
             is_allowed, wording = _CHECKS[option]
         elif is_union and isinstance(option, type):
             is_allowed = functools.partial(_is_instance, option)
             wording = f"a {option.__name__}"
+        # Anything else is the function's own to check.
         else:
             return ""
         if is_allowed(value):

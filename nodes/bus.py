@@ -36,9 +36,13 @@ class Bus:
             node = cls(settings, Context(name, self._clock_of(name), log, live=False))
             inputs = [link.topic for link in links if link.reader == name]
             self.hosts[name] = NodeHost(node, LOCAL_RUN_ID, log, inputs)
+
         self._readers: dict[str, list[NodeHost]] = {}
         for link in links:
-            self._readers.setdefault(link.topic, []).append(self.hosts[link.reader])
+            readers = self._readers.setdefault(link.topic, [])
+            readers.append(self.hosts[link.reader])
+
+        # All hosts are made before the first message: any of them may read it.
         self._queue: deque[Message] = deque()
         self._n_ticks = 0
         self._last_stamp_ns = -1
@@ -58,10 +62,11 @@ class Bus:
             live = [host for host in sources if not host.finished]
             if not live:
                 return
-            messages: list[Message] = []
+
             # Stamps name frames, so they must differ even on a clock that stands still.
             self._last_stamp_ns = max(self.clock.now_ns(), self._last_stamp_ns + 1)
             tick = Tick(self._last_stamp_ns, self._n_ticks)
+            messages: list[Message] = []
             for host in live:
                 messages += self._deliver(host.tick(tick))
             # A tick that found no frame is not counted as one.
@@ -71,6 +76,7 @@ class Bus:
             self._n_ticks += 1
             done += 1
             yield messages
+
         for host in sources:
             self._deliver(host.finish_frames(self._last_stamp_ns))
 

@@ -33,6 +33,7 @@ class Clock(Protocol):
 
 def wall_offset_ns() -> int:
     """Difference of the time of day and the monotonic clock now, nanoseconds."""
+    # The monotonic clock of Linux is one for all processes of a host.
     return time.time_ns() - time.monotonic_ns()
 
 
@@ -42,7 +43,9 @@ class SystemClock:
     """
 
     def __init__(self, offset_ns: int | None = None) -> None:
-        self.offset_ns = wall_offset_ns() if offset_ns is None else offset_ns
+        if offset_ns is None:
+            offset_ns = wall_offset_ns()
+        self.offset_ns = offset_ns
 
     def now_ns(self) -> int:
         return time.monotonic_ns() + self.offset_ns
@@ -83,6 +86,7 @@ class _Exchange(NamedTuple):
 
     def uncertainty_ns(self, now_ns: int) -> int:
         drift_ns = abs(now_ns - self.at_ns) * DRIFT_PPM / 1e6
+        # One more for the halves that `//` drops, here and in the offset.
         return self.round_trip_ns // 2 + 1 + round(drift_ns)
 
 
@@ -98,9 +102,11 @@ class ClockOffset:
 
         Return False for one that is not used: its times decrease, or it contradicts those before.
         """
+        # The other host may send any numbers.
         round_trip_ns = (t4_ns - t1_ns) - (t3_ns - t2_ns)
         if t4_ns < t1_ns or t3_ns < t2_ns or round_trip_ns < 0:
             return False
+
         offset_ns = ((t2_ns - t1_ns) + (t3_ns - t4_ns)) // 2
         exchange = _Exchange(t4_ns, offset_ns, round_trip_ns)
         estimate = self.estimate(t4_ns)
@@ -112,6 +118,7 @@ class ClockOffset:
                 if self._contradictions < MAX_CONTRADICTIONS:
                     return False
                 self._exchanges.clear()
+
         self._contradictions = 0
         self._exchanges.append(exchange)
         return True
@@ -121,5 +128,7 @@ class ClockOffset:
         if not self._exchanges:
             return None
         # The quickest round trip bounds the offset best, until the clocks have drifted since.
-        best = min(self._exchanges, key=lambda each: each.uncertainty_ns(now_ns))
+        best = min(
+            self._exchanges, key=lambda exchange: exchange.uncertainty_ns(now_ns)
+        )
         return ClockEstimate(best.offset_ns, best.uncertainty_ns(now_ns))

@@ -4,6 +4,7 @@ The core imports no plug-in by its name. What it needs it looks up here, when it
 """
 
 from collections.abc import Container, Iterator, Mapping
+from contextlib import suppress
 from functools import cache
 from typing import TYPE_CHECKING, Any
 
@@ -46,6 +47,7 @@ def offered(group: str) -> "dict[str, EntryPoint]":
     from importlib.metadata import entry_points
 
     by_name = {point.name: point for point in entry_points(group=group)}
+    # The order of installed packages is that of the file system.
     return dict(sorted(by_name.items()))
 
 
@@ -101,11 +103,9 @@ def loaded(group: str) -> dict[str, Any]:
     """All of a group that can be imported, by name."""
     objects = {}
     for name in offered(group):
-        try:
+        # One that fails stops no other; `failures` names it.
+        with suppress(SparseskinError):
             objects[name] = load(group, name, SparseskinError)
-        # It stops no other; `failures` names it.
-        except SparseskinError:
-            continue
     return objects
 
 
@@ -114,6 +114,7 @@ def failures(group: str) -> str:
     names = offered(group).keys() - loaded(group).keys()
     if not names:
         return ""
+    # Their modules: a name does not tell which package brings it.
     absent = sorted(offered(group)[name].value for name in names)
     return f"; cannot be imported: {', '.join(absent)}"
 

@@ -27,6 +27,7 @@ def state_folder() -> Path:
     directory where that is not an absolute path.
     Raises SparseskinError if no home directory is known.
     """
+    # The XDG Base Directory Specification has a relative path ignored.
     folder = Path(os.environ.get("XDG_STATE_HOME", ""))
     if not folder.is_absolute():
         try:
@@ -41,12 +42,15 @@ def check_private(folder: Path) -> None:
     """Check that no other user can enter a folder or has put a link in its place.
     Raises SparseskinError if it is no folder, belongs to another user, or its mode is not 0700.
     """
+    # Not `stat`: it would follow a link to a folder of the user's own.
     try:
         status = folder.lstat()
     except OSError as error:
         raise SparseskinError(f"{folder}: {error.strerror}") from error
-    if not stat.S_ISDIR(status.st_mode):
-        fault = "is a link" if stat.S_ISLNK(status.st_mode) else "is no folder"
+    if stat.S_ISLNK(status.st_mode):
+        fault = "is a link"
+    elif not stat.S_ISDIR(status.st_mode):
+        fault = "is no folder"
     elif status.st_uid != os.geteuid():
         fault = f"belongs to user {status.st_uid}"
     elif status.st_mode & 0o077:
@@ -113,6 +117,7 @@ def whole_file(path: Path) -> Iterator[Path]:
     """
     if os.path.lexists(path):
         raise OutputError(f"{path}: {TAKEN}")
+    # Beside it, on the same file system: a file cannot be renamed to another one.
     with os_errors(path):
         folder = tempfile.TemporaryDirectory(prefix=f".{path.name}.", dir=path.parent)
     with folder as name:
@@ -133,6 +138,7 @@ def whole_folder(path: Path) -> Iterator[Path]:
         path.mkdir()
         try:
             yield path
+        # Ctrl-C, too.
         except BaseException:
             shutil.rmtree(path, ignore_errors=True)
             raise

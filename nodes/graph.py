@@ -35,32 +35,36 @@ def join(nodes: NodeSpecs) -> list[Link]:
                     f"{name}: writes {topic}, which {writers[topic]} writes too"
                 )
             writers[topic] = name
+
+    # All writers are known now: the order of nodes in a file does not matter.
     links = []
     for name, (cls, settings) in nodes.items():
         topics = []
         for pattern in cls.inputs(settings):
-            matching = [pattern]
-            if "*" in pattern:
-                matching = fnmatch.filter(writers, pattern)
-            elif pattern not in writers:
-                hint = _hint(pattern, writers)
-                raise SettingsError(
-                    f"{name}: reads {pattern}, which no node writes{hint}"
-                )
-            if not matching:
-                raise SettingsError(
-                    f"{name}: reads {pattern}, which matches no written topic"
-                )
-            topics += matching
+            topics += _matching(name, pattern, writers)
         topics += [t for t in cls.optional_inputs(settings) if t in writers]
         links += [Link(topic, writers[topic], name) for topic in topics]
     return links
+
+
+def _matching(name: str, pattern: str, writers: Mapping[str, str]) -> list[str]:
+    """Written topics that an input of the node `name` reads, or SettingsError if there is none."""
+    if pattern in writers:
+        return [pattern]
+    if "*" not in pattern:
+        hint = _hint(pattern, writers)
+        raise SettingsError(f"{name}: reads {pattern}, which no node writes{hint}")
+    topics = fnmatch.filter(writers, pattern)
+    if not topics:
+        raise SettingsError(f"{name}: reads {pattern}, which matches no written topic")
+    return topics
 
 
 def _hint(topic: str, writers: Mapping[str, str]) -> str:
     """What may have been meant: topics of the same schema, or else all that are written."""
     schema = topic.rpartition("/")[2]
     same_schema = [t for t in writers if t.rpartition("/")[2] == schema]
+    # Mostly the name of the patch is another one there.
     if same_schema:
         return did_you_mean(topic, same_schema)
     return f" (written: {', '.join(sorted(writers))})"

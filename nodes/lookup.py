@@ -57,7 +57,9 @@ def suggestion(word: str, known: Iterable[str]) -> str:
         return ratio, sum(map(str.__eq__, name, word))
 
     near = max(difflib.get_close_matches(word, known), key=likeness, default="")
-    return f" (did you mean '{near}'?)" if near else ""
+    if not near:
+        return ""
+    return f" (did you mean '{near}'?)"
 
 
 def did_you_mean(word: str, known: Iterable[str]) -> str:
@@ -82,10 +84,13 @@ _NOT_THE_USERS = {"sparseskin", "numpy", "numba", *sys.stdlib_module_names}
 
 def one_line(error: BaseException) -> str:
     """Type and text of an exception, and the line of the user's code that raised it, if any."""
+    line = type(error).__name__
     text = " ".join(str(error)[:MAX_TEXT].split())
-    line = f"{type(error).__name__}: {text}" if text else type(error).__name__
-    prefix = os.path.join(os.getcwd(), "")
+    if text:
+        line += f": {text}"
+
     # The innermost frame of the user's own code: below it are libraries.
+    prefix = os.path.join(os.getcwd(), "")
     place = ""
     for frame, number in traceback.walk_tb(error.__traceback__):
         package = str(frame.f_globals.get("__name__")).partition(".")[0]
@@ -111,6 +116,7 @@ def find_callable(target: str, error: type[SparseskinError]) -> Callable[..., An
     parts = [*module_name.split("."), *attribute.split(".")]
     if not colon or not all(part.isidentifier() for part in parts):
         raise error(f"{target[:80]!r}: expected module:callable, e.g. my_skin:frames")
+
     # A file may have been written since this process looked last.
     searched = search_here(module_name)
     importlib.invalidate_caches()
@@ -125,6 +131,7 @@ def find_callable(target: str, error: type[SparseskinError]) -> Callable[..., An
     # SystemExit: a module that calls sys.exit() when imported.
     except (Exception, SystemExit) as cause:
         raise error(f"{target}: importing it failed: {one_line(cause)}") from cause
+
     for part in attribute.split("."):
         if not hasattr(target_object, part):
             hint = suggestion(part, dir(target_object))
@@ -142,6 +149,7 @@ def is_missing(module: str, cause: ModuleNotFoundError) -> bool:
     """True if an import failed as there is no such module; False if it imports another that is not
     there.
     """
+    # With the dots: a module "skin" is not the package of "skin_driver".
     return cause.name is not None and f"{module}.".startswith(f"{cause.name}.")
 
 

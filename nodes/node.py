@@ -48,6 +48,7 @@ class Context:
 
     def rng(self, seed: int) -> np.random.Generator:
         """Random generator of a seed: the same numbers wherever the node runs."""
+        # Not the global generator: another node of the same process may use that.
         return np.random.default_rng(seed)
 
 
@@ -241,6 +242,7 @@ class SourceNode(Node[S]):
         """Time of the next tick on the graph's clock; None while paused."""
         if self.paused:
             return None
+        # Always due: `window` and the readers set the pace.
         if not self.rate_hz:
             return 0
         # An absolute target: the error of one tick does not add to the next.
@@ -250,11 +252,14 @@ class SourceNode(Node[S]):
         if name != "pause":
             return super().command(name, value)
         # Without a value it toggles.
-        pause = not self.paused if value is None else value
+        pause = value
+        if value is None:
+            pause = not self.paused
         if not isinstance(pause, bool):
             raise RefusedError(
                 f"pause: {value!r} is not allowed (allowed: true, false)"
             )
+        # Once more would begin the schedule anew.
         if pause != self.paused:
             self.pause(pause)
         return "paused" if pause else "runs"
@@ -270,6 +275,7 @@ class SourceNode(Node[S]):
 
     def acquire(self, tick: Tick) -> Iterable[Message]:
         """Count a tick and execute it."""
+        # Before the tick, which may raise: its time has passed.
         self._n_ticks += 1
         return self.tick(tick)
 

@@ -55,6 +55,7 @@ class TopicCount:
             self.expected = message.seq
         if message.seq < self.expected:
             return False
+
         # Of a state only the last one holds: a gap is no loss.
         if not message.latched:
             self.lost += message.seq - self.expected
@@ -65,6 +66,7 @@ class TopicCount:
     def end(self, run_id: str, n_messages: int) -> None:
         """Count the messages missing at the end of the stream, as its publisher counted them."""
         self._enter(run_id)
+        # A late reader of nothing came after the last message.
         if self.received or not self.late:
             self.lost += max(0, n_messages - self.expected)
         self.expected = max(self.expected, n_messages)
@@ -116,16 +118,21 @@ class NodeHost:
         late: bool = False,
         late_inputs: Collection[str] = (),
     ) -> None:
+        if inputs is None:
+            inputs = node.inputs(node.settings)
         self.node = node
         self.is_source = isinstance(node, SourceNode)
+        # Most nodes have nothing to do between messages, and are not asked.
         self._works_between = type(node).idle is not Node.idle
         self.run_id = run_id
-        self.inputs = tuple(node.inputs(node.settings) if inputs is None else inputs)
+        self.inputs = tuple(inputs)
         self.outputs = node.outputs(node.settings)
         self.counts = Counts()
         for topic in self.inputs:
             self.counts.inputs[topic] = TopicCount(late or topic in late_inputs)
         self.streams = [topic for topic in self.inputs if not is_latched(topic)]
+
+        # Set by who runs the host: called with an error to log, and with each message's number.
         self.raised: Callable[[Exception], None] = lambda error: None
         self.published: Callable[[str, int], None] = lambda topic, n: None
         self.finished = False
@@ -176,7 +183,10 @@ class NodeHost:
             return ()
         self._last_stamp_ns = max(self._last_stamp_ns, message.stamp_ns)
         if isinstance(message, End):
-            return () if count.ended else self._end(count, message)
+            # It is sent again, for readers that have missed it.
+            if count.ended:
+                return ()
+            return self._end(count, message)
         if not count.admit(message):
             return ()
         if overtaken:
@@ -189,11 +199,13 @@ class NodeHost:
         """Process the end of an input."""
         count.end(end.run_id, end.n_messages)
         yield from self._guarded(self.node.ended, end.topic, end.n_messages)
+        # States have no end.
         if all(self.counts.inputs[topic].ended for topic in self.streams):
             yield from self.finish(self._last_stamp_ns)
 
     def change(self, changes: Mapping[str, Any]) -> list[Message]:
         """Change settings between two frames, or raise SparseskinError; return what follows."""
+        # Not guarded: whoever asked for the change reads the error.
         settings = self.node.settings.changed(changes)
         return [self._numbered(message) for message in self.node.change(settings)]
 
@@ -292,6 +304,8 @@ def is_due(times: int) -> bool:
 
 def log_some(log: Log, line: str, times: int) -> None:
     """Log a repeated line the 1st, 10th, 100th ... time, so that a flood stays readable."""
-    if is_due(times):
-        often = f" ({times} times)" if times > 1 else ""
-        log(line + often)
+    if not is_due(times):
+        return
+    if times > 1:
+        line += f" ({times} times)"
+    log(line)

@@ -48,6 +48,7 @@ class Settings:
         for field in dataclasses.fields(self):
             value = _checked(field.name, getattr(self, field.name), hints[field.name])
             _check_range(field.name, value, field.metadata["range"])
+            # The dataclass is frozen.
             object.__setattr__(self, field.name, value)
 
     @classmethod
@@ -71,6 +72,7 @@ class Settings:
                     f"{key}: cannot be changed while the graph runs "
                     f"(allowed: {', '.join(live) or 'none'})"
                 )
+
             # A module of the user's own is imported for a launch file only.
             value = changes[key]
             registered = fields[key].metadata["range"].known
@@ -79,6 +81,7 @@ class Settings:
                     f"{key}: {value!r} is not allowed while the graph runs"
                     f"{nearest_of(str(value), registered)}"
                 )
+        # Of the whole: a valid change may contradict another setting.
         settings = dataclasses.replace(self, **changes)
         settings.check()
         return settings
@@ -160,6 +163,7 @@ def check_patch(place: str, name: str) -> None:
 
 def check_patches(place: str, names: tuple[str, ...]) -> None:
     """Raise SettingsError unless these can be the names of patches that are served together."""
+    # The number first: it bounds the time of all that follows.
     if len(names) > MAX_PATCHES:
         raise SettingsError(f"{place}: {len(names)} names, at most {MAX_PATCHES}")
     for k, name in enumerate(names):
@@ -173,7 +177,10 @@ def check_patches(place: str, names: tuple[str, ...]) -> None:
 
 
 def _if_finite(limit: float) -> float | None:
-    return limit if math.isfinite(limit) else None
+    # JSON, in which settings are described, has no infinity.
+    if math.isfinite(limit):
+        return limit
+    return None
 
 
 def _declared(cls: Any) -> Iterator[tuple[str, str, Range]]:
@@ -188,7 +195,11 @@ def _declared(cls: Any) -> Iterator[tuple[str, str, Range]]:
 
 def _checked(name: str, value: Any, hint: Any) -> Any:
     """Return the value as the declared type: a whole number as float, a list as tuple; or raise."""
-    options = typing.get_args(hint) if isinstance(hint, types.UnionType) else (hint,)
+    options: tuple[Any, ...] = (hint,)
+    if isinstance(hint, types.UnionType):
+        options = typing.get_args(hint)
+
+    # Each of them returns if the value is of it: what is of none falls through to the error.
     for option in options:
         if option is type(None):
             if value is None:
@@ -230,9 +241,11 @@ _TYPE_NAMES: dict[Any, str] = {
 
 
 def _check_range(name: str, value: Any, allowed: Range) -> None:
+    # Of a list each element has the range.
     if isinstance(value, tuple):
         for element in value:
             _check_range(name, element, allowed)
+    # Not isinstance: True is an integer of Python, but has no range.
     elif isinstance(value, float) or is_whole(value):
         if not is_real(value, allowed.low, allowed.high):
             value_text = f"{value!r}"[:40]

@@ -45,6 +45,7 @@ def make_executor(spec: str) -> Executor:
     is_misspelt = argument.isdecimal() and kind not in KINDS
     if not (kind and argument) or is_misspelt:
         raise SettingsError(f"{place}: expected {FORMS}{did_you_mean(kind, KINDS)}")
+
     if kind in KINDS:
         if not argument.isdecimal() or not 1 <= int(argument) <= MAX_WORKERS:
             raise SettingsError(f"{place}: expected 1..{MAX_WORKERS} workers")
@@ -81,6 +82,7 @@ def computed(
     """
     if not tasks:
         return
+    # Whoever calls may have children of its own, which are left alone.
     children_before = set(multiprocessing.active_children())
     executor: Executor = make_executor(executor_name)
     try:

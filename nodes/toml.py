@@ -47,10 +47,12 @@ def parse_toml(text: str, max_chars: int = MAX_CHARS) -> dict[str, Any]:
         ) from None
     # int() refuses thousands of digits, and names no place.
     except ValueError as error:
+        line_number = 1
         digits = _LONG.search(text)
-        at = text.count("\n", 0, digits.start()) + 1 if digits else 1
+        if digits is not None:
+            line_number += text.count("\n", 0, digits.start())
         raise ValueError(
-            f"a whole number beyond 64 bits (at line {at}, column 1)"
+            f"a whole number beyond 64 bits (at line {line_number}, column 1)"
         ) from error
 
     # Without recursion, which a deep tree could exhaust.

@@ -54,7 +54,7 @@ class MeasuredNoise:
         self._last: Floats | None = None
 
     def update(self, forces: Floats) -> float:
-        """Add a frame, float32 (n,); return `sigma`."""
+        """Add a frame, float32 (n,), which is kept and must not be written to; return `sigma`."""
         previous = self._last
         self._last = forces
         if previous is None or previous.shape != forces.shape:
@@ -64,9 +64,12 @@ class MeasuredNoise:
         # Equal frames may be the same one, read twice.
         if not change.any() and np.array_equal(previous, forces):
             return self.sigma
+
         # Clipped noise leaves half of the untouched taxels at 0.
         is_clipped = np.count_nonzero(forces) < 0.75 * forces.size
-        of_frame = _median(change) / (CLIPPED if is_clipped else DIFFERENCE)
+        median_per_sd = CLIPPED if is_clipped else DIFFERENCE
+        of_frame = _median(change) / median_per_sd
+
         if self._mean is None:
             self._mean = of_frame
             self.sigma = of_frame

@@ -13,6 +13,7 @@ import numpy.typing as npt
 
 from sparseskin.nodes.errors import SparseskinError
 from sparseskin.nodes.numerics.arrays import Doubles, Mask
+from sparseskin.nodes.sensor.sign import MAD_TO_SD
 
 from .description import MAX_KNOTS, MAX_NUMBER, Response, SkinDescription
 
@@ -26,8 +27,6 @@ LOADS = "500g, 0.5kg, 4.9N or 800mN"
 AREAS = "all, or ROWSxCOLUMNS as 4-11x8-15"
 Curve = Literal["shared", "taxel", "linear"]
 
-MAD_TO_SD = 1.4826
-"""Standard deviation of normal noise, in its median absolute deviation; derived."""
 OUTLIER = 5.0
 """Robust standard deviations from the median beyond which a reading is not of the steady ones."""
 TOUCHED = 4.0
