@@ -41,6 +41,7 @@ class Message:
         values = self.__dict__
         for name, kind in wire_fields(type(self)).items():
             values[name] = kind.check(name, values[name])
+        # Last: it relies on the type of each field.
         self.validate()
 
     def validate(self) -> None:
@@ -95,6 +96,7 @@ class Message:
             for name in wire_fields(type(self))
         )
 
+    # Equal messages would need equal hashes, and arrays have none.
     __hash__ = None  # type: ignore[assignment]
 
 
@@ -102,6 +104,7 @@ def _same(a: Any, b: Any) -> bool:
     if isinstance(a, np.ndarray) and isinstance(b, np.ndarray):
         if a.dtype != b.dtype or a.shape != b.shape:
             return False
+
         # By bytes: NaN equals itself, 0 and -0 differ.
         return a.tobytes() == b.tobytes()
     return bool(a == b)

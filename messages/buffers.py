@@ -65,7 +65,7 @@ class _Form:
     texts: tuple[tuple[str, FieldKind], ...]
     arrays: tuple[tuple[str, Array], ...]
     numbers: tuple[tuple[str, Number], ...]
-    each: tuple[tuple[str, Each], ...]
+    tuples: tuple[tuple[str, Each], ...]
 
 
 @once_a_class
@@ -77,14 +77,14 @@ def _form(cls: type[Message]) -> _Form:
 
     # Words are of kind `Each`, but travel as texts.
     words = of(Words)
-    each = tuple(field for field in of(Each) if field not in words)
+    tuples = tuple(field for field in of(Each) if field not in words)
     return _Form(
         cls=cls,
         names=tuple(fields),
         texts=of(Text, Names) + words,
         arrays=of(Array),
         numbers=of(Number),
-        each=each,
+        tuples=tuples,
     )
 
 
@@ -104,9 +104,10 @@ class _Stream:
     """What all messages of a description have in common.
 
     `begin` is their topic and all that follows up to the numbers; `numbers` packs these, which
-    begin in the payload at `numbers_at`; `checks` has the field and check of each number, `each`
-    those of fields that hold one for each of several patches; `values` holds all fields in their
-    order, the texts set; `arrays` has the arrays that are sent in the payload, which has `n_bytes`.
+    begin in the payload at `numbers_at`; `checks` has the field and check of each number,
+    `tuple_checks` those of fields that hold one for each of several patches; `values` holds all
+    fields in their order, the texts set; `arrays` has the arrays that are sent in the payload,
+    which has `n_bytes`.
     """
 
     form: _Form
@@ -116,7 +117,7 @@ class _Stream:
     numbers: struct.Struct
     numbers_at: int
     checks: tuple[_Check, ...]
-    each: tuple[_Check, ...]
+    tuple_checks: tuple[_Check, ...]
     values: dict[str, Any]
     arrays: tuple[_SentArray, ...]
     n_bytes: int
@@ -140,7 +141,7 @@ def frame_pieces(message: Message) -> list[Any]:
     values = message.__dict__
     # Numbers of the message come first, then those of its patches, field by field.
     numbers = [values[name] for name, _ in form.numbers]
-    for name, _ in form.each:
+    for name, _ in form.tuples:
         numbers += values[name]
 
     # Arrays are not copied; quantised ones state their step among the numbers.
@@ -208,7 +209,9 @@ def decode_frame(topic: bytes, payload: Payload) -> Message:
     n_bytes = len(payload)
     if n_bytes != stream.n_bytes:
         text = f"{form.cls.schema}: {n_bytes} bytes, expected {stream.n_bytes}"
-        raise (TruncatedError if n_bytes < stream.n_bytes else OversizedError)(text)
+        if n_bytes < stream.n_bytes:
+            raise TruncatedError(text)
+        raise OversizedError(text)
 
     # Texts were checked when their description first came; numbers are, in each frame.
     values = stream.values.copy()
@@ -217,7 +220,7 @@ def decode_frame(topic: bytes, payload: Payload) -> Message:
     for (name, check), number in zip(stream.checks, numbers, strict=False):
         values[name] = check(name, number)
     n_read = len(stream.checks)
-    for name, check in stream.each:
+    for name, check in stream.tuple_checks:
         end = n_read + stream.n_patches
         values[name] = tuple([check(name, number) for number in numbers[n_read:end]])
         n_read = end
@@ -420,17 +423,18 @@ def _laid_out(
     end = numbers_at + numbers.size
     placed = []
     for array in arrays:
+        # The least one at or behind `end` that is aligned.
         first_byte = end + -(n_topic + end) % ALIGNMENT
         end = first_byte + array.end
         placed.append(array._replace(begin=first_byte, end=end))
 
     checks = [(name, kind.of_number) for name, kind in form.numbers]
     # Nearly all messages are of one patch: its numbers need no list of their own.
-    each: list[_Check] = []
+    tuple_checks: list[_Check] = []
     if n_patches == 1:
-        checks += [(name, tuples.of_number) for name, tuples in form.each]
+        checks += [(name, kind.of_number) for name, kind in form.tuples]
     else:
-        each = [(name, tuples.kind.of_number) for name, tuples in form.each]
+        tuple_checks = [(name, kind.kind.of_number) for name, kind in form.tuples]
     return _Stream(
         form=form,
         topic=topic,
@@ -439,7 +443,7 @@ def _laid_out(
         numbers=numbers,
         numbers_at=numbers_at,
         checks=tuple(checks),
-        each=tuple(each),
+        tuple_checks=tuple(tuple_checks),
         values=values,
         arrays=tuple(placed),
         n_bytes=end,
@@ -452,7 +456,7 @@ def _numbers_struct(
     """The numbers behind `n_before` bytes, and zeros up to the first array."""
     codes = "".join(kind.code for _, kind in form.numbers)
     # Field by field: all patches of one, then of the next.
-    codes += "".join(tuples.kind.code * n_patches for _, tuples in form.each)
+    codes += "".join(kind.kind.code * n_patches for _, kind in form.tuples)
     for array in arrays:
         # A quantised array is sent with its step.
         if array.dtype != array.kind.dtype:

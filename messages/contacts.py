@@ -74,6 +74,7 @@ class Contacts(Frames):
 
     def validate(self) -> None:
         super().validate()
+        # `_column` can say that there is a row for each contact, but not how many these are.
         n = self.id.size
         for name, sides in _SIDES.items():
             column = self.__dict__[name]
@@ -88,6 +89,7 @@ class Contacts(Frames):
             raise ShapeError(f"patch_of: a row outside 0..{n_patches - 1}")
         if self.events is None:
             return
+
         if self.events.shape[1] != 3:
             raise ShapeError(f"events: shape {self.events.shape}, expected rows of 3")
         patches = self.events[:, 0]
@@ -96,16 +98,19 @@ class Contacts(Frames):
             raise ShapeError("events: a patch or event that is not known")
 
     def _single(self, k: int, **changes: Any) -> Self:
+        # Of patch k alone: rows of the others are left out.
         patch_of = self.patch_of
         if patch_of is None:
             patch_of = np.zeros(self.id.size, np.int32)
+        is_of_patch = patch_of == k
         columns = {name: self.__dict__[name] for name in _SIDES if name != "patch_of"}
         for name, column in columns.items():
             if column is not None:
-                columns[name] = column[patch_of == k]
+                columns[name] = column[is_of_patch]
 
         events = self.events
         if events is not None:
+            # A copy, as of any choice by a mask: it may be written to.
             events = events[events[:, 0] == k]
             # The only patch of a message has number 0.
             events[:, 0] = 0
@@ -141,6 +146,7 @@ class Contacts(Frames):
             # A table has the columns of a message whose pitch is not known, too.
             if values is None:
                 values = np.full((n, *sides), np.nan, np.float32)
+            # A column of a table for each of those of a field of rows.
             if not sides:
                 columns[name] = values
             else:
@@ -153,7 +159,9 @@ def summary(n: int, total: float, unit: str) -> str:
     """Number of contacts and their total force, in a few words."""
     if not n:
         return "no contact"
-    contacts = "contact" if n == 1 else "contacts"
+    contacts = "contacts"
+    if n == 1:
+        contacts = "contact"
     return f"{n} {contacts}, {total:.3g} {sum_unit(unit)}"
 
 
@@ -184,6 +192,7 @@ _SIDES |= {name: (len(columns),) for name, columns in _COLUMNS.items()}
 
 
 def _within(values: Numbers, n: int) -> bool:
+    # numpy has no least of none.
     if not values.size:
         return True
     return bool(values.min() >= 0 and values.max() < n)

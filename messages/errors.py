@@ -10,6 +10,7 @@ class MessageError(ValueError):
 
     def __init_subclass__(cls, reason: str | None = None) -> None:
         super().__init_subclass__()
+        # Without one of its own, a subclass is counted with its base.
         cls.reason = reason or cls.reason
 
 

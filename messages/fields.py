@@ -80,12 +80,14 @@ class Integer(Number):
     high: int = INT64_MAX
 
     def check(self, name: str, value: Any) -> int:
+        # Nearly every number of a frame passes this test alone.
         if type(value) is int and self.low <= value <= self.high:
             return value
         if not is_whole(value):
             raise _wrong_type(name, "a whole number", value)
         if not self.low <= value <= self.high:
             raise FieldError(f"{name}: {value} is outside {self.low}..{self.high}")
+        # An integer of numpy becomes Python's.
         return int(value)
 
 
@@ -100,6 +102,7 @@ class Real(Number):
     optional: bool = False
 
     def check(self, name: str, value: Any) -> float | None:
+        # As of `Integer`, the usual case.
         if (
             type(value) is float
             and self.low <= value <= self.high
@@ -108,10 +111,13 @@ class Real(Number):
             return value
         if value is None and self.optional:
             return None
+
+        # Its own reason: the publisher has computed something wrong.
         if isinstance(value, float | np.floating) and not math.isfinite(value):
             raise NotFiniteError(f"{name}: {value} is not a finite number")
         if not is_real(value):
             raise _wrong_type(name, "a number", value)
+
         # Numbers of numpy become Python's.
         number = float(value)
         if not self.low <= number <= self.high:
@@ -215,6 +221,8 @@ def _names(place: str, text: str) -> tuple[str, ...]:
     """Names in a text; the same few texts recur in every frame."""
     if not text:
         return ()
+
+    # Sizes first: they bound the time of all that follows.
     if len(text) > MAX_NAMES:
         raise OversizedError(f"{place}: {len(text)} characters, at most {MAX_NAMES}")
     names = text.split(" ")
@@ -292,6 +300,7 @@ class Array(FieldKind):
             )
         self._check_shape(name, value.shape)
         self._check_finite(name, value)
+        # Its bytes are sent as they lie in memory; it is copied where they do not lie in order.
         return np.ascontiguousarray(value)
 
     def pack(self, value: Any) -> Any:
@@ -432,6 +441,7 @@ class Samples(Array):
         if checked is None or not isinstance(value, Quantised):
             return checked
         _check_quantiser(name, value.bits, value.step)
+        # `checked` is a plain array: `ascontiguousarray` drops bits and step.
         return value.reshape(checked.shape)
 
     def dtype_of(self, value: Any) -> str:
@@ -459,6 +469,7 @@ class Samples(Array):
     ) -> npt.NDArray[Any]:
         if dtype == self.dtype:
             return super().of_data(name, dtype, shape, extra, data)
+
         bits = self._bits_of(name, dtype)
         if type(extra) is not float:
             raise MalformedError(f"{name}: step must be a float")
@@ -473,12 +484,12 @@ class Samples(Array):
     def _bits_of(self, name: str, dtype: Any) -> int:
         if dtype == self.dtype:
             return super()._bits_of(name, dtype)
+        # At most four digits: int() of thousands takes long.
         match = None
         if isinstance(dtype, str):
             match = re.fullmatch("int([1-9][0-9]{0,3})", dtype)
         if match is None:
             raise ShapeError(f"{name}: expected dtype intB, got {str(dtype)[:32]!r}")
-        # The digits of an absurd number are few: the pattern limits them.
         bits = int(match[1])
         _check_quantiser(name, bits, 1.0)
         return bits

@@ -81,6 +81,7 @@ class Frames(Message):
                 # A number that is not stated is that of each patch.
                 values[name] = kind.unstated * n
 
+            # Fields are of this message alone: `Each` and `Array` have checked each for itself.
             rows = values[name]
             # An optional array that is not sent has no rows.
             if rows is None or len(rows) == n:
@@ -99,6 +100,7 @@ class Frames(Message):
         of each patch by its name, for those that a later `Reconstruction` does not send; a patch
         of which nothing is known is left out.
         """
+        # It has the form of a single patch already.
         if not self.names:
             return [self]
         return [self._single(k) for k in range(len(self.names))]
@@ -108,6 +110,7 @@ class Frames(Message):
         values = self.__dict__
         parts = {}
         for name in of_patches(type(self)):
+            # A slice keeps the axis of patches, and is a view.
             if name not in changes and values[name] is not None:
                 parts[name] = values[name][k : k + 1]
         patch = self.patches[k]
@@ -117,6 +120,7 @@ class Frames(Message):
 def kinds_alone(cls: type[Message]) -> dict[str, FieldKind]:
     """Kinds of the fields of a message of one patch as `values_alone` returns them, by name."""
     kinds = dict(wire_fields(cls))
+    # It is (): the name of the patch is `patch`.
     kinds.pop("names", None)
     for name, kind in kinds.items():
         if isinstance(kind, Each):
@@ -164,6 +168,7 @@ class Sensed(Frames):
         n = math.prod(shape)
         if self.missing.size != math.ceil(n / 8):
             raise ShapeError(f"missing: {self.missing.size} bytes for {n} cells")
+        # Bits are bytes of 0 and 1, as those of bool.
         bits = np.unpackbits(self.missing, count=n)
         return bits.reshape(shape).view(np.bool_)
 
@@ -173,6 +178,7 @@ def known_forces(message: "Taxels | Truth | Reconstruction") -> Floats:
     Raises ShapeError if `missing` is of another shape.
     """
     forces: Floats = message.forces[0]
+    # A truth is complete.
     if isinstance(message, Truth):
         return forces
     missing = message.missing_cells(forces.shape)
@@ -235,6 +241,7 @@ class Measurements(Sensed):
             raise FieldError("places, nodes: are those of one patch")
         if self.places is None:
             return
+
         # Each marked taxel gives one measurement.
         n_places = int(np.unpackbits(self.places).sum())
         if n_places != self.y.shape[1]:
@@ -255,12 +262,15 @@ class Measurements(Sensed):
     ) -> list[Self]:
         if not self.names or self.all_sent:
             return super().split(last_forces)
+
         # Measurements that are sent are in the order of the patches that have changed; the others
         # have no message, as a patch that is served alone has none.
         changed = [k for k, same in enumerate(self.unchanged) if not same]
-        return [
-            self._single(k, y=self.y[row : row + 1]) for row, k in enumerate(changed)
-        ]
+        parts = []
+        for row, k in enumerate(changed):
+            y = self.y[row : row + 1]
+            parts.append(self._single(k, y=y))
+        return parts
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -300,6 +310,7 @@ class Reconstruction(Sensed):
         super().validate()
         if self.sd is None:
             return
+        # Of all patches, where forces may be of some.
         grid = self.forces.shape[1:]
         if self.sd.shape[1:] != grid:
             raise ShapeError(
@@ -314,6 +325,7 @@ class Reconstruction(Sensed):
     ) -> list[Self]:
         if last_forces is None:
             last_forces = {}
+
         # A frame that has not changed may leave its forces out.
         all_sent = len(self.forces) == len(self.patches)
         if all_sent and not self.names:

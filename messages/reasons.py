@@ -14,6 +14,7 @@ class Reason(StrEnum):
     sentence: str
 
     def __new__(cls, word: str, phrase: str, sentence: str) -> Self:
+        # The value is the word alone: it travels, the texts do not.
         reason = str.__new__(cls, word)
         reason._value_ = word
         reason.phrase = phrase

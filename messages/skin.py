@@ -110,6 +110,7 @@ def first_far(places: npt.NDArray[Any]) -> int | None:
     """Number of the first place, (n, 3) in metres, that is not within `MAX_COORDINATE_M` or not
     finite; None: there is none.
     """
+    # Not `>`: NaN is not within it, either.
     near = (np.abs(places) <= MAX_COORDINATE_M).all(axis=1)
     if near.all():
         return None
@@ -128,14 +129,13 @@ def _check_array(
 def _check_points(points: npt.NDArray[np.float32], n: int) -> None:
     """Raise MessageError unless points are n rows of x, y, z and a unit normal."""
     _check_array("the points are", points, np.float32, (n, 6))
-    places = points[:, :3]
     # Its own test, not a norm: a coordinate may be infinite.
-    k = first_far(places)
+    k = first_far(points[:, :3])
     if k is not None:
         raise FieldError(f"skin: point {k} is not within {MAX_COORDINATE_M:g} m")
 
-    normals = points[:, 3:].astype(np.float64)
     # In float64, so that huge values do not overflow.
+    normals = points[:, 3:].astype(np.float64)
     lengths = np.linalg.norm(normals, axis=1)
     # Not `>`: a length that is not a number is wrong, too.
     wrong = ~(np.abs(lengths - 1) <= NORM_TOLERANCE)

@@ -69,7 +69,7 @@ class SkinState(Message):
     point_rows: npt.NDArray[np.int32] | None = omitted(POINT_ROWS)
 
     def validate(self) -> None:
-        # Raises where the mask or the points do not fit the grid.
+        # To make it raises where the mask or the points do not fit the grid.
         _ = self.skin
 
     @property
@@ -89,6 +89,7 @@ class SkinState(Message):
     @property
     def clips_noise(self) -> bool:
         """True if the range clips more than a fortieth of the noise of an untouched taxel."""
+        # Below -2 standard deviations lie 2.3 % of it. Noise that is not stated may have any size.
         return self.f_min > -2 * self.sigma_end or not self.f_min
 
     @property
@@ -96,6 +97,7 @@ class SkinState(Message):
         """Least standard deviation of the stated noise of a taxel, in `unit`: that of an untouched
         one where the range clips it; 0 where no noise is stated.
         """
+        # It is the least bound that holds for every taxel, whatever force is on it.
         sd = min(self.sigma_mid, self.sigma_end)
         # Half of the noise around 0 lies below the range, and is clipped.
         if self.clips_noise:
@@ -107,15 +109,17 @@ def described(skin: Skin | SkinState, rate_hz: float | None) -> dict[str, Any]:
     """`f_max` and `unit` of a skin; `mask`, `points`, `point_rows`, `pitch_m` and `rate_hz` where
     known.
     """
-    optional = {
+    facts = {
+        "f_max": skin.f_max,
+        "unit": skin.unit,
         "mask": skin.mask,
         "points": skin.points,
         "point_rows": skin.point_rows,
+        # 0 stands for a number that is not known, too.
         "pitch_m": skin.pitch_m or None,
         "rate_hz": rate_hz or None,
     }
-    stated = {name: value for name, value in optional.items() if value is not None}
-    return {"f_max": skin.f_max, "unit": skin.unit, **stated}
+    return {name: value for name, value in facts.items() if value is not None}
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -144,6 +148,7 @@ class Calibration(Message):
             raise ShapeError(
                 "response_reading, response_force: expected both of them or none"
             )
+        # A knot has a reading and a force.
         if reading is not None and force is not None and len(reading) != len(force):
             raise ShapeError(
                 f"response_reading: {len(reading)} knots, but {len(force)} forces"
@@ -220,6 +225,7 @@ class End(Message):
     n_messages: int = wire(Integer())
 
     def validate(self) -> None:
+        # Its topic would end before it does.
         if self.of == self.schema:
             raise MessageError("of: an end cannot end itself")
 

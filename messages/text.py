@@ -2,6 +2,7 @@
 
 import re
 
+# Of an address "tcp://user:password@host", and of a path that has lost one of its two slashes.
 _USER = re.compile(r"(://)\S*@|(:/)[^\s/@:]+:[^\s@]+@")
 
 
@@ -11,6 +12,7 @@ def printable(text: str) -> str:
     White space of any kind becomes a space; control characters (ESC, BEL, C1), bidirectional and
     other invisible ones are written as in Python, e.g. \\x1b.
     """
+    # Nearly every text: a test in C.
     if text.isprintable():
         return text
     return "".join(map(_printable_character, text))

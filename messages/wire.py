@@ -94,6 +94,7 @@ def decode(topic: bytes, payload: Payload) -> Message:
         )
     if payload[0] == MARK:
         return decode_frame(topic, payload)
+
     message = _of_map(unpacked(payload, dict, n_bytes))
     if message.topic.encode() != topic:
         raise FieldError(f"a message of {message.topic} came under topic {topic!r}")
