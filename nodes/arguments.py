@@ -98,7 +98,7 @@ def _what_is_allowed(value: object, hint: Any) -> str:
         if option in _CHECKS:
             is_allowed, wording = _CHECKS[option]
         elif is_union and isinstance(option, type):
-            is_allowed = functools.partial(_is_instance, option)
+            is_allowed = _is_of(option)
             wording = f"a {option.__name__}"
         # Anything else is the function's own to check.
         else:
@@ -107,7 +107,3 @@ def _what_is_allowed(value: object, hint: Any) -> str:
             return ""
         words.append(wording)
     return " or ".join(words)
-
-
-def _is_instance(cls: type, value: object) -> bool:
-    return isinstance(value, cls)

@@ -99,6 +99,8 @@ class Bus:
     def _deliver(self, messages: Iterable[Message]) -> list[Message]:
         """Deliver messages and all that follow from them, in order; return all of them."""
         delivered: list[Message] = []
+        # What a message leads to comes before the next one: `messages` may be lazy, and its node
+        # works on only then.
         for published in messages:
             self._queue.append(published)
             while self._queue:

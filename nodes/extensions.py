@@ -75,6 +75,7 @@ class Registry(Mapping[str, str]):
         self._core = core
 
     def __getitem__(self, name: str) -> str:
+        # The core first: no look-up, and no plug-in in its place.
         if name in self._core:
             return self._core[name]
         return offered(self._group)[name].value

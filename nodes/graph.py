@@ -42,6 +42,7 @@ def join(nodes: NodeSpecs) -> list[Link]:
         topics = []
         for pattern in cls.inputs(settings):
             topics += _matching(name, pattern, writers)
+        # Not `_matching`: it is no fault if nobody writes these.
         topics += [t for t in cls.optional_inputs(settings) if t in writers]
         links += [Link(topic, writers[topic], name) for topic in topics]
     return links

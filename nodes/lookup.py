@@ -65,6 +65,7 @@ def suggestion(word: str, known: Iterable[str]) -> str:
 def did_you_mean(word: str, known: Iterable[str]) -> str:
     """Hint for an unknown word: as `suggestion`, else the list of known ones."""
     names = sorted(known)
+    # An empty list would read as if something were wrong here.
     if not names:
         return ""
     return suggestion(word, names) or f" (known: {', '.join(names)})"

@@ -163,6 +163,7 @@ class Node(Generic[S]):
 
     def change(self, settings: S) -> Iterable[Message]:
         """Change settings between two frames; on SparseskinError the node keeps the old ones."""
+        # A node that computes something of its settings does that first, and may fail.
         self.settings = settings
         return ()
 
@@ -233,6 +234,7 @@ class SourceNode(Node[S]):
         passed_s = (now_ns - self._t0_ns) / 1e9
         if not self._t0_ns or passed_s < RATE_S or self.rate_hz == self._missed_hz:
             return
+        # Of the mean since the schedule began: one slow frame is made up for.
         reached_hz = self._n_ticks / passed_s
         if reached_hz < KEPT_RATE * self.rate_hz:
             self._missed_hz = self.rate_hz

@@ -181,6 +181,8 @@ class NodeHost:
         if count is None:
             self._refuse("unknown topic", f"{topic}: not an input of this node")
             return ()
+
+        # Stamps of several patches come in any order; the End has the last of all.
         self._last_stamp_ns = max(self._last_stamp_ns, message.stamp_ns)
         if isinstance(message, End):
             # It is sent again, for readers that have missed it.
@@ -189,6 +191,7 @@ class NodeHost:
             return self._end(count, message)
         if not count.admit(message):
             return ()
+
         if overtaken:
             count.skipped += 1
             self.node.overtaken(message)

@@ -349,7 +349,10 @@ class Departures:
         of_windows = of_score[:, np.newaxis] + np.float32(self._end**2) * excess
         limits: Floats = np.float32(self._z) * np.sqrt(of_windows)
 
-        weights, energy = self._of_energy(variances, untouched)
+        of_energy = self._energy_of_readings
+        if self._phis:
+            of_energy = self._energy_of_measurements
+        weights, energy = of_energy(variances, np.count_nonzero(untouched, axis=(1, 2)))
         return Bounds(limits, weights, energy)
 
     def _of_scores(self, values: Floats) -> Floats:
@@ -362,28 +365,34 @@ class Departures:
         mixed: Floats = mean + self._inside * (local - mean)
         return mixed
 
-    def _of_energy(self, variances: Floats, untouched: Mask) -> tuple[Floats, Doubles]:
-        """Weights and bounds of the energy, as in `Bounds`."""
-        n = self._cells.size
-        z = self._z_energy
-        n_untouched = np.count_nonzero(untouched, axis=(1, 2))
-        if not self._phis:
-            n_touched = n - n_untouched
-            pairs = zip(n_touched.tolist(), n_untouched.tolist(), strict=True)
-            energy = np.array([energy_bound(*pair, z) for pair in pairs])
-            weights = np.zeros_like(variances)
-            np.divide(1, variances, out=weights, where=variances > 0)
-            return weights, energy
+    def _energy_of_readings(
+        self, variances: Floats, n_untouched: Indices
+    ) -> tuple[Floats, Doubles]:
+        """Weights and bounds of the energy, as in `Bounds`, of readings."""
+        n_touched = self._cells.size - n_untouched
+        pairs = zip(n_touched.tolist(), n_untouched.tolist(), strict=True)
+        bounds = [energy_bound(*numbers, self._z_energy) for numbers in pairs]
+        energy = np.array(bounds)
+        weights = np.zeros_like(variances)
+        np.divide(1, variances, out=weights, where=variances > 0)
+        return weights, energy
 
+    def _energy_of_measurements(
+        self, variances: Floats, n_untouched: Indices
+    ) -> tuple[Floats, Doubles]:
+        """The same of measurements."""
         # Differing variances are those of fewer, larger terms (Satterthwaite): the spread.
+        n = self._cells.size
         phi = self._phis[0]
         mean = variances.sum(axis=(1, 2)) / n
         mean_square = np.square(variances).sum(axis=(1, 2)) / n
         spread = 1 + phi.m / n * (mean_square / mean**2 - 1)
-        shares = np.stack([1 - n_untouched / n, n_untouched / n])
-        n_terms = shares * phi.m / spread
-        pairs = zip(*n_terms.tolist(), strict=True)
-        energy = spread * [energy_bound(*pair, z) for pair in pairs]
+        share = n_untouched / n
+        touched_terms = (1 - share) * phi.m / spread
+        untouched_terms = share * phi.m / spread
+        pairs = zip(touched_terms.tolist(), untouched_terms.tolist(), strict=True)
+        bounds = [energy_bound(*numbers, self._z_energy) for numbers in pairs]
+        energy = spread * np.array(bounds)
 
         # Measurements mix taxels: all have the mean variance, at most `lipschitz` times as much.
         weights = np.float32(1 / phi.lipschitz) / mean

@@ -115,6 +115,7 @@ class DeviceClock:
         time_ns = arrived_ns
         was_settled = False
         if self._advance(stamp, arrived_ns):
+            # By the line as it was before this frame: `_add` may draw it anew.
             late_ns = self._y - self._x - self._line(self._x)
             was_settled = self._is_settled
             if was_settled and late_ns < -TUNING.step_ns:
@@ -141,11 +142,14 @@ class DeviceClock:
         """
         if not self._is_settled:
             return {"clock": "arrival", "clock_restarts": self._n_restarts}
+
         # The sd of the slope falls with the number of points and the length of the line.
         heights = [height - self._line(x) for x, height in self._points]
         length = len(heights) * (self._points[-1][0] - self._points[0][0])
-        drift = 1 / (1 + self._slope) - 1
         drift_sd = TUNING.spread * fmean(heights) / length
+
+        # The slope is in nanoseconds of the source, the drift in those of the graph.
+        drift = 1 / (1 + self._slope) - 1
         arrivals = [(x, arrived) for x, arrived, _ in self._sampled]
         times = [(x, time) for x, _, time in self._sampled]
         return {
@@ -198,12 +202,10 @@ class DeviceClock:
 
     def _advance(self, stamp: int, arrived_ns: int) -> bool:
         """Set both times to those of a frame; False if a line begins with it."""
+        # A drift does not last for a silence as long.
         y = float(arrived_ns - self._origin_ns)
-
         if not self._n or y - self._y > TUNING.n_periods * TUNING.period_ns:
-            self._begin(
-                stamp, arrived_ns
-            )  # a drift does not last for a silence as long
+            self._begin(stamp, arrived_ns)
             return False
 
         ahead = stamp - self._stamp
@@ -226,12 +228,17 @@ class DeviceClock:
         return True
 
     def _line(self, x: float) -> float:
-        return self._at[1] + self._slope * (x - self._at[0])
+        """Height of the line at a time of the source."""
+        x_at, height_at = self._at
+        return height_at + self._slope * (x - x_at)
 
     def _lower(self, a: Point, b: Point) -> Point:
         """The one of two points that is lower over the line."""
-        is_lower = b[1] - a[1] < self._slope * (b[0] - a[0])
-        return b if is_lower else a
+        a_x, a_height = a
+        b_x, b_height = b
+        if b_height - a_height < self._slope * (b_x - a_x):
+            return b
+        return a
 
     def _add(self, late_ns: float) -> None:
         """Add a frame that is later than the line by `late_ns`."""
@@ -239,12 +246,14 @@ class DeviceClock:
 
         # A frame that is earlier than all others moves the line down to it.
         if late_ns < 0:
-            self._at = self._at[0], self._at[1] + late_ns
+            x, height = self._at
+            self._at = x, height + late_ns
         if late_ns < TUNING.step_ns or not self._is_settled:
             self._in_time = self._y
         if self._y - self._begun < self._period_ns:
             self._least = self._lower(self._least, point)
             return
+
         # Late frames alone, for long: the clock was set.
         if self._y - self._in_time > TUNING.patience_ns:
             self._restart(self._stamp, self._origin_ns + round(self._y))
@@ -268,6 +277,7 @@ class DeviceClock:
         line = line_below(self._points)
         if line is not None:
             self._at, self._slope = line
+
         # A line is used once it is long enough, and its drift can be that of a clock.
         is_good = line is not None and abs(self._slope) <= TUNING.most_drift
         is_long = self._y >= TUNING.settle_ns and self._n >= TUNING.settle_frames

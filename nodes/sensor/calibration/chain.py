@@ -103,10 +103,9 @@ class Chain:
 
         # On a skin with noise, a frame that repeats the last one is of a board that hangs: what is
         # followed meanwhile would be no drift, and its frames would differ.
-        previous = self._previous
-        hangs = previous is not None and np.array_equal(
-            forces, previous, equal_nan=True
-        )
+        hangs = False
+        if self._previous is not None:
+            hangs = np.array_equal(forces, self._previous, equal_nan=True)
         self._previous = forces.copy() if description.noise else None
 
         forces -= self.drift.value
@@ -165,6 +164,7 @@ class Chain:
         if self.description.noise is None and len(frames) >= LEAST_FRAMES:
             self._measure_noise(readings[:MOST_FRAMES])
 
+        # Without an old baseline all forces change.
         line = f"forces changed by at most {moved.max():.3g} {self.skin.unit}"
         n_moved = np.count_nonzero(moved > MOVED * self.skin.f_max)
         if n_moved and old_baseline is not None:

@@ -173,16 +173,9 @@ class Drift:
         self._fast += fast * (means - self._fast)
         self._slow += slow * (means - self._slow)
 
-        # Variance of a first-order low pass of white noise: a / (2 - a) of it.
-        variance = fast / (2 - fast) + slow / (2 - slow)
-        sigma = self._sigma * math.sqrt(variance / self._n)
-        # The difference of the low passes under the largest drift: see the module.
-        drift = TUNING.step_drifts * self.rate * (TUNING.slow_s - TUNING.fast_s)
-        smallest = max(TUNING.step_least, drift) * self._f_max
-        threshold = np.maximum(TUNING.step_sigmas * sigma, smallest)
-
         # A fall of the same size ends a press, too.
         step: Doubles = self._fast - self._slow
+        threshold = self._step_threshold(fast, slow)
         self._risen &= step > -threshold
         begins = (step > threshold) & ~self._risen
         self._base[begins] = self._slow[begins]
@@ -196,3 +189,16 @@ class Drift:
 
         pressed: Mask = np.logical_or(*self._risen)
         return pressed
+
+    def _step_threshold(self, fast: float, slow: float) -> Doubles:
+        """Difference of the low passes, with these coefficients, that neither noise nor drift has:
+        of a taxel, and of a mean of nine, (2, 1, 1).
+        """
+        # Variance of a first-order low pass of white noise: a / (2 - a) of it.
+        variance = fast / (2 - fast) + slow / (2 - slow)
+        sigma = self._sigma * math.sqrt(variance / self._n)
+
+        # The difference under the largest drift: see the module.
+        drift = TUNING.step_drifts * self.rate * (TUNING.slow_s - TUNING.fast_s)
+        smallest = max(TUNING.step_least, drift) * self._f_max
+        return np.maximum(TUNING.step_sigmas * sigma, smallest)

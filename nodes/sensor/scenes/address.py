@@ -46,6 +46,7 @@ class SceneAddress(Address):
         if name in TILED:
             self._check_size(self._described().shape)
         elif on_grid and self.n_patches > 1:
+            # All patches show the same frames.
             self._check_size(self.open().skin.shape)
         elif self.points and name not in point_scenes():
             hint = did_you_mean(name, point_scenes())

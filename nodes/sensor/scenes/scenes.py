@@ -158,4 +158,5 @@ def open_scene(name: str, seed: int) -> SceneSource:
     Raises SourceError as `check_scene`.
     """
     check_scene(name)
+    # Made here, not at import: soles take a moment to compute.
     return SceneSource(SCENES[name](), seed)
