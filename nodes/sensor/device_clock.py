@@ -33,11 +33,11 @@ class ClockTuning:
     # `n_periods` of them.
     first_ns: float = 62.5e6
     period_ns: float = 5e8
-    #: Most periods that are kept: 32 s, in which a quartz hardly drifts
+    #: Most periods that are kept: 32 s, in which a quartz hardly drifts.
     n_periods: int = 64
     settle_ns: float = 2e9  # length of a line before it is used
     settle_frames: int = 20  # and its number of frames
-    #: Length of a line whose drift is not believed before that is logged
+    #: Length of a line whose drift is not believed before that is logged.
     doubt_ns: float = 1e10
     #: Largest drift that is believed: the RC oscillator of an ATmega328P is within 10 % (data
     #: sheet, calibrated internal oscillator).

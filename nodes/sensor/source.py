@@ -38,13 +38,13 @@ class Source:
     delivers: Literal["truth", "taxels"] = "taxels"
     rate_hz: float | None = None  # native frame rate; None: it has none of its own
     n_frames: int | None = None  # None: endless
-    #: A frame is of the time at which it is read; others are read ahead
+    #: A frame is of the time at which it is read; others are read ahead.
     is_live: bool = False
-    #: Frames arrive whether or not they are read; `next_frame` states when
+    #: Frames arrive whether or not they are read; `next_frame` states when.
     arrives: bool = False
-    #: Frames are made for the time at which they are sent, as by a scene
+    #: Frames are made for the time at which they are sent, as by a scene.
     simulates: bool = False
-    #: Frames of a skin of points are on its virtual grid already
+    #: Frames of a skin of points are on its virtual grid already.
     on_points: bool = False
     ended: bool = False  # `next_frame` has found that there is no frame any more
     f_min: float = 0.0  # lower end of the range, 0 or less, in the unit of the skin
@@ -53,7 +53,7 @@ class Source:
     #: Noise of a taxel at half the range, and untouched, in the unit of the skin, that the sensor
     #: adds to a truth; None: that of the paper's skin.
     sigmas: tuple[float, float] | None = None
-    #: Of the stamps of its frames; None: they have none
+    #: Of the stamps of its frames; None: they have none.
     clock: DeviceClock | None = None
     stamp: int = 0  # of the last frame on that clock
     # The sensor sets these:
@@ -190,7 +190,7 @@ class Address(ABC):
     layout: Layout = EMPTY
     seed: int = 0  # of a scene
     raw: bool = False  # readings have any sign and size, as a calibration converts them
-    #: File with the places of the taxels of a skin of points; "": a grid
+    #: File with the places of the taxels of a skin of points; "": a grid.
     points: str = ""
     described: SkinDescription | None = None  # what the file of the skin states
     # Number of patches, their skin, and the part that is pressed, for a scene of a body:

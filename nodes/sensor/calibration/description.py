@@ -153,9 +153,9 @@ class SkinDescription:
     f_max: float  # upper end of the range of a taxel, in `unit`, above 0
     unit: str = "N"  # of the calibrated readings, at most 32 printable characters
     pitch_mm: float | None = None  # between the centres of neighbouring taxels
-    #: (rows, cols), True where a taxel exists and works; None: all do
+    #: (rows, cols), True where a taxel exists and works; None: all do.
     mask: Mask | None = None
-    #: (rows, cols), raw readings of the untouched skin; None: 0
+    #: (rows, cols), raw readings of the untouched skin; None: 0.
     baseline: Doubles | None = None
     #: (rows, cols), factors of raw readings above the baseline, not 0, negative where a reading
     #: falls with force; None: 1.
@@ -164,7 +164,7 @@ class SkinDescription:
     #: Standard deviation of an untouched taxel before clipping, in `unit`; None: not measured.
     noise: float | None = None
     noise_mid: float | None = None  # the same at half the range; None: as `noise`
-    #: Lower end of the range, -f_max..0: below 0, noise is not clipped
+    #: Lower end of the range, -f_max..0: below 0, noise is not clipped.
     f_min: float = 0.0
     #: (rows, cols, 6): place in metres and unit normal of the taxel of each cell of a virtual grid,
     #: as in `Skin`; of cells without a taxel, anything. None: a flat grid.

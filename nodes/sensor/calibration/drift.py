@@ -40,7 +40,7 @@ class DriftTuning:
     #: reading creeps back after a press.
     hold_s: float = 5.0
     period_s: float = 0.05  # shortest time between two updates
-    #: Longest time that one update stands for: a pause is not made up for
+    #: Longest time that one update stands for: a pause is not made up for.
     gap_s: float = 0.5
     #: Time of which the drift of a taxel is undone where a press is noticed, at least, and twice
     #: that at most: it began before.

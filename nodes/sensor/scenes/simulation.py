@@ -123,7 +123,7 @@ class Scene:
     dt_ns: int = 1_000_000  # from one frame to the next
     body: Body
     surface: Surface
-    #: Above the skin, from which the body falls at the first frame
+    #: Above the skin, from which the body falls at the first frame.
     drop_height_m: float = 0.5
     motion: Lift | Drag | RandomPath
     #: Free coordinates, as of `Terrain`.

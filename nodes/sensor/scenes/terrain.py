@@ -25,7 +25,7 @@ class Surface:
     pitch_m: float  # distance of neighbouring taxels, and of the ground's cells
     stiffness: float  # k in N/m of a taxel
     damping: float  # c in N s/m of a taxel
-    #: Depth below the tops of the taxels; None: no ground
+    #: Depth below the tops of the taxels; None: no ground.
     ground_drop_m: float | None = None
     ground_stiffness: float = 1.0e4  # the same of a cell of the ground
     ground_damping: float = 100.0
