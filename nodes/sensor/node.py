@@ -129,9 +129,8 @@ class Sensor(SourceNode[SensorSettings]):
         self._truth_message: Truth | None = None
         self._n_frames = 0
         self._n_stuck = 0  # taxels that were named in the log
-        self._n_logged = (
-            0  # clipped readings when they were logged last, and the time of that
-        )
+        # Clipped readings when they were logged last, and the time of that.
+        self._n_logged = 0
         self._logged_ns = 0
 
     def _open_source(self) -> None:
@@ -205,9 +204,8 @@ class Sensor(SourceNode[SensorSettings]):
             raise SettingsError(NO_TRUTH)
         if settings.invert != self.settings.invert:
             # Gains of presses have the sign that the presses showed.
-            has_gains = (
-                self._described is not None and self._described.gains is not None
-            )
+            described = self._described
+            has_gains = described is not None and described.gains is not None
             if self._stage is None or has_gains:
                 raise SettingsError(
                     "invert: is of a sensor with a baseline, and without gains"
@@ -226,7 +224,7 @@ class Sensor(SourceNode[SensorSettings]):
         if self._stage is not None:
             self._stage.drift.rate = self._drift_rate()
 
-        # Until the first frame has shown which taxels there are, it is described by that.
+        # The first frame may still have to show which taxels there are: it is described then.
         if self._readings.is_known:
             yield self._describe()
 

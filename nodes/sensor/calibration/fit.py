@@ -161,20 +161,20 @@ def fit(
     Raises CalibrationError if there are too few frames, a press is not seen, readings do not rise
     with force, or `invert` is stated beside presses.
     """
+    if presses and invert:
+        raise CalibrationError(
+            "invert: the presses show whether readings fall with force"
+        )
     untouched = np.asarray(untouched)
     shape = _checked_shape(untouched, presses)
     exists = np.ones(shape, np.bool_) if mask is None else mask
     remarks: list[str] = []
     at_rest = _at_rest(untouched, presses, exists, remarks)
-    rises = [steady(press.frames)[0] - at_rest.baseline for press in presses]
-    for press, rise in zip(presses, rises, strict=True):
-        _check_still(press, rise, at_rest)
+    rises = [_rise(press, at_rest) for press in presses]
 
     # Before the fit: a dead taxel would have an absurd gain.
     even = _even_loads(presses, rises)
-    dead = np.zeros(shape, np.bool_)
-    if even:
-        dead = _dead(even, at_rest.works)
+    dead = _dead(even, at_rest.works)
     works = at_rest.works & ~dead
 
     gains: Doubles | None = None
@@ -182,31 +182,29 @@ def fit(
     if even:
         gains, response = _even_fit(even, works, curve, remarks)
     elif presses:
-        gain = _common_gain(presses, rises, works, TOUCHED * at_rest.noise, remarks)
-        gains = np.full(shape, gain)
+        floor = TOUCHED * at_rest.noise
+        gains = _common_gain(presses, rises, works, floor, remarks)
     elif invert:
         gains = np.full(shape, -1.0)
-    if presses and invert:
-        raise CalibrationError(
-            "invert: the presses show whether readings fall with force"
-        )
     if not works.any():
         raise CalibrationError(
             "no taxel works: none changes, or all are far noisier than half"
         )
 
+    # Presses are stated in newtons.
+    if presses:
+        unit = "N"
     skin = SkinDescription(
         name,
         *shape,
         f_max=MAX_NUMBER,  # until the forces of the presses are known
-        unit="N" if presses else unit,
+        unit=unit,
         pitch_mm=pitch_mm,
+        mask=None if works.all() else works,
         baseline=at_rest.baseline,
         gains=gains,
         response=response,
     )
-    if not works.all():
-        skin = replace(skin, mask=works)
     forces = [skin.forces(at_rest.baseline + rise) for rise in rises]
     if f_max is None:
         f_max = _range_of([frame[works] for frame in forces], remarks)
@@ -354,8 +352,12 @@ def steady(frames: npt.NDArray[Any]) -> tuple[Doubles, Doubles, Doubles]:
     return median + mean, noise, unsteady_share
 
 
-def _check_still(press: Press, rise: Doubles, at_rest: _Rest) -> None:
-    """Raise CalibrationError if the load moved: its frames read it, its steady readings do not."""
+def _rise(press: Press, at_rest: _Rest) -> Doubles:
+    """Steady readings under a load, above the baseline. Raises CalibrationError if the load moved:
+    its frames read it, its steady readings do not.
+    """
+    means, _, _ = steady(press.frames)
+    rise = means - at_rest.baseline
     works = at_rest.works
 
     # Sums over all taxels: a load that moves keeps its sum, frame by frame.
@@ -371,6 +373,7 @@ def _check_still(press: Press, rise: Doubles, at_rest: _Rest) -> None:
         raise CalibrationError(
             f"{press.label}: the load moves: {sums}; let it stand still"
         )
+    return rise
 
 
 def _stuck(untouched: npt.NDArray[Any], presses: Sequence[Press]) -> Mask:
@@ -489,8 +492,8 @@ def _common_gain(
     works: Mask,
     floor: Doubles,
     remarks: list[str],
-) -> float:
-    """One gain of all taxels from totals: force = gain x the sum of the readings."""
+) -> Doubles:
+    """One gain of all taxels from totals: force = gain x the sum of the readings above a floor."""
     sums = []
     for press, rise in zip(presses, rises, strict=True):
         # Noise of untouched taxels would add up.
@@ -512,7 +515,7 @@ def _common_gain(
             f"{worst}: {100 * error.max():.0f} % off one gain for all: "
             f"taxels or loads differ; {remedy}"
         )
-    return gain
+    return np.full(works.shape, gain)
 
 
 def _result(press: Press, rise: Doubles, forces: Doubles, works: Mask) -> PressResult:
