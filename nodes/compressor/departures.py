@@ -328,7 +328,6 @@ class Departures:
         weighted = differences * bounds.weights
         products = weighted.reshape(k, -1) * differences.reshape(k, -1)
         # In float64: of thousands of terms, a float32 sum would lose the small ones.
-        # In float64: of thousands of terms, a float32 sum would lose the small ones.
         sums: Doubles = products.sum(axis=1, dtype=np.float64)
         return sums
 
@@ -549,7 +548,6 @@ class Windows:
         alarms = np.zeros(len(scores), dtype=np.bool_)
         for window in range(self._n_windows):
             n = 1 << window
-            # The error of a reference is the same in all frames of its row subset: it adds up.
             # The error of a reference is the same in all frames of its row subset: it adds up.
             n_alike = max(1.0, n / self._cycle)
             widened = np.sqrt(n * (1 + n_alike * noise)).astype(np.float32)

@@ -123,7 +123,7 @@ class RigidBody:
             matrix = jacobian.T @ (jacobian * (h_loaded * slope)[:, None])
             matrix.flat[:: len(w) + 1] += self.inertia
             right = self.inertia * free - (h_loaded * spring) @ jacobian
-            # LAPACK takes ten times as long as a division for the one unknown of a fall.
+            # For the one unknown of a fall, LAPACK takes over ten times as long as a division.
             if len(w) == 1:
                 target: Doubles = right / matrix[0]
             else:

@@ -89,7 +89,7 @@ def drag_wrench_40() -> Scene:
     Dropped as in LIFT WRENCH, and dragged across its length, jaws ahead, over a corner, once the
     worst of the bouncing is over. As it leaves, jaws and handle's end drop to the ground.
     """
-    # It lies along the diagonal: across it, both coordinates change alike.
+    # Across the diagonal, along which it lies: x and y change by as much.
     across = DRAG_M_S * math.sqrt(0.5)
     return replace(
         lift_wrench_40(),

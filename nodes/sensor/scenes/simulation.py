@@ -291,6 +291,5 @@ class MovingAverage:
         width = len(self._ring)
         self.skip()
         mean: Floats = self._ring.sum(axis=0)
-        # A float64 factor would make float64 of the mean.
         mean *= np.float32(1.0 / width)
         return mean

@@ -199,7 +199,7 @@ def _foot(shape: tuple[int, int], pitch_m: float) -> Body:
     width = shape[1] * pitch_m
     long = max(height, width)
     wide = min(height, width)
-    # Begin and end along the foot, and half the width, about those of a shoe.
+    # Begin and end of each along the foot, and half its width.
     heel = (-0.4 * long, -0.12 * long, 0.16 * wide)
     ball = (0.03 * long, 0.4 * long, 0.24 * wide)
     is_along_x = width >= height
