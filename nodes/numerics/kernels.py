@@ -918,22 +918,22 @@ def filter_sums(
 
 
 @compiled(sums_in_any_order=True)
-def noise_squares(measured: Measured) -> float:
-    """As `Innovation.noise_squares`, of the two innovations of the rows read."""
+def noise_squares(measured: Measured, squares: float) -> float:
+    """As `Innovation.noise_squares`, of the two innovations of the rows read; `squares` is the
+    squared length of the new one.
+    """
     new = measured.innovation
     last = measured.last_innovation
     predicted = measured.predicted
     last_predicted = measured.last_predicted
     along_change = 0.0
     change_squares = 0.0
-    squares = 0.0
     last_squares = 0.0
     for i in range(new.size):
         change = np.float64(predicted[i] - last_predicted[i])
         fall = np.float64(last[i] - new[i])
         along_change += fall * change
         change_squares += change * change
-        squares += np.float64(new[i]) ** 2
         last_squares += np.float64(last[i]) ** 2
 
     part = min(max(along_change / (change_squares + TINY), 0.0), 1.0)
@@ -998,7 +998,8 @@ def skin_predict(
         correction_squares += corrected * corrected
         products += new * corrected
 
-    of_innovation = (squares, correction_squares, products, noise_squares(measured))
+    of_noise = noise_squares(measured, squares)
+    of_innovation = (squares, correction_squares, products, of_noise)
     return *of_innovation, *filter_sums(measured, filters, constants.unknown)
 
 

@@ -176,14 +176,16 @@ class FrameVectors(Vectors):
         unexpected = self._certain * self._off_mean * self._is_known
 
         correction = self._correction[read]
+        squares = _dot(self.innovation, self.innovation)
         return Innovation(
-            squares=_dot(self.innovation, self.innovation),
+            squares=squares,
             correction_squares=_dot(correction, correction),
             products=_dot(self.innovation, correction),
             noise_squares=noise_squares(
                 self.innovation,
                 self._last_innovation,
                 self.predicted - self._last_predicted,
+                squares,
             ),
             n_read=len(read),
             n_known=int(np.count_nonzero(self._is_known)),
@@ -389,16 +391,17 @@ class FrameVectors(Vectors):
         return _total(model.variance(forces)) / len(forces)
 
 
-def noise_squares(innovation: Floats, last: Floats, change: Floats) -> float:
+def noise_squares(
+    innovation: Floats, last: Floats, change: Floats, squares: float
+) -> float:
     """Return `Innovation.noise_squares`, by the innovation of a frame, the last one of the same
-    rows, and the change of their prediction between the two.
+    rows, the change of their prediction between the two, and the squared length of the first.
     """
     fall = last - innovation
     part = _dot(fall, change) / (_dot(change, change) + TINY)
     fall = fall - np.float32(min(max(part, 0.0), 1.0)) * change
 
     # Each of the innovations shows the noise of its own, the less precisely the larger it is.
-    squares = _dot(innovation, innovation)
     last_squares = _dot(last, last)
     products = squares * _dot(last, fall) - last_squares * _dot(innovation, fall)
     return products / (squares + last_squares + TINY)

@@ -324,7 +324,8 @@ def test_what_a_prediction_comes_nearer_by_is_no_noise(seed, scale, part):
     change = part * error
     last = (error + last_noise).astype(np.float32)
     new = (error - change + noise).astype(np.float32)
-    shown = noise_squares(new, last, change.astype(np.float32)) / n
+    squares = float(new @ new)
+    shown = noise_squares(new, last, change.astype(np.float32), squares) / n
     # Products of the innovation that counts more, and of the noise of both frames.
     square = min(np.mean(np.square(last)), np.mean(np.square(new)))
     deviation = scale * np.sqrt(2 * square / n) + 1e-6 * square
