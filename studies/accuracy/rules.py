@@ -275,6 +275,7 @@ COLUMNS = {
     "silent, %": Column("+z.2f", 0.1),
     "false alarms, %": Column("+z.2f", 0.2),
     "estimates close, %": Column("+z.2f", -1.0),
+    "estimates low, %": Column("+z.2f", 1.0),
     "far, worlds": Column("+.0f", 1.0),
     "force stays, worlds": Column("+.0f", 1.0),
     "wrong with faults, %": Column("+z.2f", 0.3),
@@ -371,10 +372,10 @@ def figures_of_worlds(rows: pd.DataFrame) -> pd.DataFrame:
         columns.append(_shares(rows[rows["has_fault"] == has_fault], ending))
 
     sound = rows[~rows["has_fault"]]
-    sums = sound.groupby("rule")[["close", "estimated"]].sum()
-    columns.append(
-        (100 * sums["close"] / sums["estimated"]).rename("estimates close, %")
-    )
+    sums = sound.groupby("rule")[["close", "low", "estimated"]].sum()
+    for name in ("close", "low"):
+        share = 100 * sums[name] / sums["estimated"]
+        columns.append(share.rename(f"estimates {name}, %"))
     is_far = sound["is_still"] & (sound["reading"] < GOOD)
     # An estimate that is no number is far, too.
     is_far &= ~(sound["error"] <= FAR_FROM_READING * sound["reading"])

@@ -66,7 +66,8 @@ class Verdict:
     something of the skin; `alarms`: those of them that are not trusted; `residue`: force that
     stays after release, beyond what is read then, in the total of the load; `estimated`:
     pressed frames whose error is estimated; `close`: those of them whose estimate is within a
-    factor of 1.5 of the true error; `reasons`: number of frames by reason.
+    factor of 1.5 of the true error; `low`: those of them whose estimate is below that;
+    `reasons`: number of frames by reason.
     """
 
     error: float | None
@@ -79,6 +80,7 @@ class Verdict:
     residue: float
     estimated: int
     close: int
+    low: int
     reasons: dict[str, int]
 
 
@@ -255,7 +257,7 @@ def verdict_on(world: World, answers: Iterable[tuple[Frame, Answer | None]]) -> 
     is_judged = ~np.isnan(error) & (at >= world.first_judged)
     settled_from = max(times.touch, world.first_judged) + UNSETTLED
     is_late = is_judged & (norms > 0) & (at >= settled_from)
-    close = [bool(1 / CLOSE < quotient < CLOSE) for quotient in quotients]
+    ratios = np.array(quotients)
     may_be_right = ~is_empty & (at >= UNSETTLED)
     counts = _counts(error, reading, is_judged, is_trusted, may_be_right)
     return Verdict(
@@ -263,7 +265,8 @@ def verdict_on(world: World, answers: Iterable[tuple[Frame, Answer | None]]) -> 
         reading=_median(reading[is_late]),
         residue=residue,
         estimated=len(quotients),
-        close=sum(close),
+        close=int(np.count_nonzero((ratios > 1 / CLOSE) & (ratios < CLOSE))),
+        low=int(np.count_nonzero(ratios <= 1 / CLOSE)),
         reasons=dict(reasons),
         **counts,
     )
