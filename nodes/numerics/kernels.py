@@ -41,9 +41,10 @@ _HALF = np.float32(0.5)
 _3 = np.float32(3)
 _4 = np.float32(4)
 _64 = np.float32(64)
-_NEGLIGIBLE = np.float32(1e-30)
-"""Force, N, that is kept as 0, chosen: no sum of a frame resolves it. What fades in taxels that
-nothing presses would reach numbers below 1e-38, with which some processors compute 15 times longer.
+_NEGLIGIBLE = np.float32(1e-18)
+"""Force, N, and gain of a filter, that are kept as 0, chosen: no sum of a frame resolves them. What
+fades in taxels that nothing presses, and its squares, would reach numbers below 1e-38, with which
+some processors compute 15 times longer.
 """
 _THIRD = np.float32(1 / 3)
 _QUARTER = np.float32(1 / 4)
@@ -1117,7 +1118,9 @@ def set_targets(
     for p in range(n):
         of_filter = variance[p] + of_dependent(change[p], factor, doubt, unknown)
         target_variance[p] = of_filter / (prior + of_filter)
-        target[p] = prior / (prior + of_filter)
+        gain = prior / (prior + of_filter)
+        # A row that was never read has a filter of no weight.
+        target[p] = gain if gain > _NEGLIGIBLE else _0
     for p in range(n):
         target[p] *= mean[p] - predicted_rows[p]
 
