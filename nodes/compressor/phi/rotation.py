@@ -120,6 +120,9 @@ def row_subsets(phi: Phi, rows: str | None) -> list[Phi]:
     arrays: use all of them in one thread. Raises PhiError if `rows` is neither, the rows of phi
     cannot rotate, or there were more than 64 subsets.
     """
+    # A matrix of a user's own that cannot rotate need have no kind.
+    if rows is None and not can_rotate(phi):
+        rows = FIXED
     if rows is None:
         rows = default_rows(phi, phi.kind, phi.n, phi.m)
     if rows == FIXED:
