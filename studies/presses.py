@@ -10,9 +10,11 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
+from sparseskin.messages import SkinState
 from sparseskin.messages.skin import PAPER_F_MAX_N
 from sparseskin.nodes.numerics.arrays import Doubles, Floats, Indices, Mask
 from sparseskin.nodes.sensor.noise import NoiseModel
@@ -304,3 +306,27 @@ def _gaussian(a: float, b: float) -> Field:
         return np.asarray(np.maximum(0, bell - _LEAST_GAUSSIAN) / (1 - _LEAST_GAUSSIAN))
 
     return field
+
+
+def noisy_skin(side: int, **stated: Any) -> SkinState:
+    """A square skin with the noise of the paper; fields of `SkinState` may be stated otherwise."""
+    noise = NoiseModel()
+    usual = {
+        "stamp_ns": 0,
+        "patch": "skin",
+        "pitch_m": None,
+        "source": "drawn",
+        "seed": 0,
+        "rate_hz": 0.0,
+    }
+    return SkinState(
+        **{**usual, **stated},
+        n_rows=side,
+        n_cols=side,
+        f_max=noise.f_max,
+        unit="N",
+        mask=None,
+        has_truth=False,
+        sigma_mid=noise.sigma_mid,
+        sigma_end=noise.sigma_end,
+    )

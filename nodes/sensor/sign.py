@@ -142,7 +142,7 @@ class Margin:
         self, values: Doubles, previous: Doubles | None, f_max: float
     ) -> float:
         """Margin by the values of some taxels, and those of the frame before where it is known."""
-        floor = UNKNOWN * f_max
+        floor = self._floor
         # The sum of squares is finite if all values are, unless they are huge.
         energy = float(np.vdot(values, values))
         if not math.isfinite(energy):

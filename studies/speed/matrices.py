@@ -15,7 +15,7 @@ from sparseskin.nodes.compressor.phi.gaussian import N_MAX
 from sparseskin.nodes.numerics.arrays import Floats
 from sparseskin.nodes.process.proc import own_bytes
 from sparseskin.nodes.sensor.noise import NoiseModel
-from sparseskin.studies.presses import press_frames
+from sparseskin.studies.presses import noisy_skin, press_frames
 
 from .bodies import made_node, timed_step
 
@@ -70,21 +70,13 @@ def measure(point: dict[str, Any]) -> dict[str, Any]:
     """
     noise = NoiseModel()
     side = point["side"]
-    state = SkinState(
-        stamp_ns=0,
+    state = noisy_skin(
+        side,
         patch="skin",
-        n_rows=side,
-        n_cols=side,
-        f_max=noise.f_max,
-        unit="N",
-        pitch_m=0.005,
-        mask=None,
         source="plate",
+        pitch_m=0.005,
         seed=point["seed"],
         rate_hz=1e9 / PERIOD_NS,
-        has_truth=False,
-        sigma_mid=noise.sigma_mid,
-        sigma_end=noise.sigma_end,
     )
     default = _set_up(*DEFAULT, state)
     pair = _set_up(point["kind"], point["ratio"], state)

@@ -15,6 +15,7 @@ from sparseskin.messages.wire import received, wire_bytes
 from sparseskin.nodes.compressor.change import FALSE_SENDS
 from sparseskin.nodes.numerics.arrays import Floats
 from sparseskin.nodes.sensor.noise import NoiseModel
+from sparseskin.studies.presses import noisy_skin
 
 from .bodies import made_node, timed_step
 
@@ -41,21 +42,13 @@ def time_quiet(point: dict[str, Any]) -> dict[str, Any]:
     noise = NoiseModel()
     names = [f"p{k}" for k in range(point["patches"])]
     side = point["side"]
-    state = SkinState(
-        stamp_ns=0,
+    state = noisy_skin(
+        side,
         patch="body",
-        n_rows=side,
-        n_cols=side,
-        f_max=noise.f_max,
-        unit="N",
-        pitch_m=0.005,
-        mask=None,
         source="disc",
+        pitch_m=0.005,
         seed=point["seed"],
         rate_hz=1e9 / PERIOD_NS,
-        has_truth=False,
-        sigma_mid=noise.sigma_mid,
-        sigma_end=noise.sigma_end,
     )
     way = (
         _Delta(state, names)

@@ -117,7 +117,7 @@ def bodies(page: Page, quick: bool, seed: int) -> str:
     for idle, n in product(LOADS, numbers):
         n_frames = 12 if quick or n >= 64 else 60
         points.append({**common, "patches": n, "idle": idle, "n_frames": n_frames})
-    rows = pd.DataFrame(compute_rows(time_body, points, page.out, TIMED_ON, "bodies"))
+    rows = _measured(time_body, points, page.out, "bodies", TIMED_ON)
     page.csv("bodies", rows)
     us = rows["edge_us"] + rows["host_us"]
     table = pd.DataFrame(
@@ -162,7 +162,7 @@ def quiet_body(page: Page, quick: bool, seed: int) -> str:
     if quick:
         size |= {"patches": 16, "n_frames": 100}
     points = [{"way": way, **size, "seed": seed} for way in WAYS]
-    rows = pd.DataFrame(compute_rows(time_quiet, points, page.out, TIMED_ON, "quiet"))
+    rows = _measured(time_quiet, points, page.out, "quiet", TIMED_ON)
     page.csv("quiet", rows)
     names = ("all frames", "quiet", "single taxels that change")
     table = pd.DataFrame(
@@ -220,10 +220,14 @@ def stages(page: Page, quick: bool, seed: int) -> list[str]:
 
 
 def _measured(
-    function: Function, points: list[dict[str, Any]], out: Path, label: str
+    function: Function,
+    points: list[dict[str, Any]],
+    out: Path,
+    label: str,
+    executor: str = "serial",
 ) -> pd.DataFrame:
-    """Points with the figures of their graphs, which run one at a time."""
-    return pd.DataFrame(compute_rows(function, points, out, "serial", label))
+    """Points with their figures; graphs run one at a time."""
+    return pd.DataFrame(compute_rows(function, points, out, executor, label))
 
 
 def beside_lean(page: Page, quick: bool, seed: int) -> list[str]:
@@ -308,9 +312,7 @@ def _quantiles(rows: pd.DataFrame, kind: str) -> list[str]:
 def matrices_of(page: Page, quick: bool, seed: int) -> list[str]:
     """Set-up, memory and time of a frame of each kind of Phi."""
     points = matrices.points(quick, seed)
-    rows = pd.DataFrame(
-        compute_rows(matrices.measure, points, page.out, TIMED_ON, "matrices")
-    )
+    rows = _measured(matrices.measure, points, page.out, "matrices", TIMED_ON)
     page.csv("matrices", rows)
     table = pd.DataFrame(
         {
@@ -341,9 +343,7 @@ def matrices_of(page: Page, quick: bool, seed: int) -> list[str]:
 def offline_of(page: Page, quick: bool, seed: int) -> list[str]:
     """Reprocessing of a recording beside its solver alone."""
     points = offline.points(quick, seed)
-    rows = pd.DataFrame(
-        compute_rows(offline.measure, points, page.out, TIMED_ON, "offline")
-    )
+    rows = _measured(offline.measure, points, page.out, "offline", TIMED_ON)
     page.csv("offline", rows)
     table = pd.DataFrame(
         {

@@ -15,7 +15,6 @@ import numpy as np
 import pandas as pd
 from matplotlib.ticker import FuncFormatter
 
-from sparseskin.messages import SkinState
 from sparseskin.nodes.compressor.departures import CLIPPED_MEAN, Departures, Windows
 from sparseskin.nodes.compressor.phi.base import Phi, make_phi
 from sparseskin.nodes.compressor.phi.rotation import m_of, row_subsets
@@ -23,6 +22,7 @@ from sparseskin.nodes.numerics.arrays import Floats, Indices, Mask
 from sparseskin.nodes.reconstructor.first_touch import FALSE_TOUCHES, TouchTest
 from sparseskin.nodes.sensor.noise import NoiseModel
 from sparseskin.studies.points import compute_rows
+from sparseskin.studies.presses import noisy_skin
 from sparseskin.studies.report import Chart, Page, markdown, series_style
 
 from .shapes import SIDE, draw_forces
@@ -191,7 +191,7 @@ def _test(ratio: int) -> tuple[list[Phi], TouchTest]:
     n = SIDE * SIDE
     m = m_of(n, ratio, "rotating")
     phis = row_subsets(make_phi("sbhe", n, m, seed=0), "rotating")
-    return phis, TouchTest(_skin(SIDE), phis, PER_CONVERSION * m)
+    return phis, TouchTest(noisy_skin(SIDE), phis, PER_CONVERSION * m)
 
 
 def _by_measurements(truth: Floats, ratio: int, rng: np.random.Generator) -> Indices:
@@ -239,7 +239,7 @@ def _by_taxels(truth: Floats, way: str, rng: np.random.Generator) -> Indices:
     limit = -NormalDist().inv_cdf(chance) * NoiseModel().sigma_end
     scans = None
     if way == WITH_SQUARES:
-        scans = Departures(_skin(SIDE), chance * n, n_windows=2, one_sided=True)
+        scans = Departures(noisy_skin(SIDE), chance * n, n_windows=2, one_sided=True)
         untouched = np.zeros((1, SIDE, SIDE), dtype=np.float32)
         bounds = scans.bounds(untouched)
         windows = Windows(n_presses, scans.squares.n, 2)
@@ -277,7 +277,7 @@ def false_touches(point: dict[str, Any]) -> dict[str, Any]:
     """
     rng = np.random.default_rng([point["seed"], 566])
     n = COUNTED_SIDE**2
-    skin = _skin(COUNTED_SIDE)
+    skin = noisy_skin(COUNTED_SIDE)
     m = m_of(n, point["ratio"], "rotating")
     phis = row_subsets(make_phi("sbhe", n, m, seed=0), "rotating")
     tests = [TouchTest(skin, phis, chance) for chance in CHANCES]
@@ -296,24 +296,3 @@ def false_touches(point: dict[str, Any]) -> dict[str, Any]:
             alarms |= energy > test.bounds.energy
             counts[k] += np.count_nonzero(alarms)
     return {f"{chance:g}": int(n) for chance, n in zip(CHANCES, counts, strict=True)}
-
-
-def _skin(side: int) -> SkinState:
-    """A square skin with the noise of the paper."""
-    noise = NoiseModel()
-    return SkinState(
-        stamp_ns=0,
-        patch="skin",
-        n_rows=side,
-        n_cols=side,
-        f_max=noise.f_max,
-        unit="N",
-        pitch_m=None,
-        mask=None,
-        source="drawn",
-        seed=0,
-        rate_hz=0.0,
-        has_truth=False,
-        sigma_mid=noise.sigma_mid,
-        sigma_end=noise.sigma_end,
-    )
