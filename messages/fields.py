@@ -4,9 +4,8 @@ import dataclasses
 import functools
 import math
 import re
-from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -37,6 +36,7 @@ MAX_ELEMENTS = 1 << 20
 STEP_MAX = 1e30
 """Upper bound of the step of quantised numbers."""
 _ARRAY_KEYS = frozenset({"dtype", "shape", "order", "data"})
+_QUANTISED_KEYS = _ARRAY_KEYS | {"step"}
 
 
 class FieldKind:
@@ -45,6 +45,10 @@ class FieldKind:
     def check(self, name: str, value: Any) -> Any:
         """Return the value in its canonical form, or raise MessageError."""
         raise NotImplementedError
+
+    def is_default(self, value: Any, default: Any) -> bool:
+        """True if a checked value is the default of its field, and need not be sent."""
+        return bool(value == default)
 
     def pack(self, value: Any) -> Any:
         """Convert a checked value to a msgpack type."""
@@ -59,22 +63,9 @@ def _wrong_type(name: str, expected: str, value: Any) -> FieldError:
     return FieldError(f"{name}: expected {expected}, got {type(value).__name__}")
 
 
-class Number(FieldKind):
-    """A number or a truth value, which a frame carries in binary; `code` as of module `struct`."""
-
-    code: ClassVar[str]
-
-    @property
-    def of_number(self) -> Callable[[str, Any], Any]:
-        """Function of name and number as it travelled: its value, or MessageError."""
-        return self.check
-
-
 @dataclass(frozen=True)
-class Integer(Number):
+class Integer(FieldKind):
     """A whole number in [low, high]."""
-
-    code: ClassVar[str] = "q"
 
     low: int = 0
     high: int = INT64_MAX
@@ -92,10 +83,8 @@ class Integer(Number):
 
 
 @dataclass(frozen=True)
-class Real(Number):
-    """A finite number in [low, high]; None, which travels as NaN, where `optional`."""
-
-    code: ClassVar[str] = "d"
+class Real(FieldKind):
+    """A finite number in [low, high]; None where `optional`."""
 
     low: float = -math.inf
     high: float = math.inf
@@ -124,24 +113,10 @@ class Real(Number):
             raise FieldError(f"{name}: {number} is outside {self.low}..{self.high}")
         return number
 
-    @property
-    def of_number(self) -> Callable[[str, Any], Any]:
-        if self.optional:
-            return self._known_number
-        return self.check
-
-    def _known_number(self, name: str, number: Any) -> float | None:
-        # Only NaN differs from itself: it stands for None.
-        if number != number:
-            return None
-        return self.check(name, number)
-
 
 @dataclass(frozen=True)
-class Flag(Number):
+class Flag(FieldKind):
     """True or false."""
-
-    code: ClassVar[str] = "?"
 
     def check(self, name: str, value: Any) -> bool:
         if not isinstance(value, bool):
@@ -168,11 +143,9 @@ class Each(FieldKind):
             return (check(name, value[0]),)
         return tuple([check(name, number) for number in value])
 
-    @property
-    def of_number(self) -> Callable[[str, Any], Any]:
-        """As `Number.of_number`, of the number of the only patch of a message."""
-        check = self.kind.of_number
-        return lambda name, number: (check(name, number),)
+    def is_default(self, value: Any, default: Any) -> bool:
+        # A message states the number of each patch; its reader does so where it was not sent.
+        return bool(value == self.unstated * len(value))
 
     def unpack(self, name: str, raw: Any) -> tuple[Any, ...]:
         if not isinstance(raw, list | tuple):
@@ -303,79 +276,37 @@ class Array(FieldKind):
         # Its bytes are sent as they lie in memory; it is copied where they do not lie in order.
         return np.ascontiguousarray(value)
 
+    def is_default(self, value: Any, default: Any) -> bool:
+        return value is default
+
     def pack(self, value: Any) -> Any:
         if value is None:
             return None
-        form: dict[str, Any] = {
-            "dtype": self.dtype_of(value),
-            "shape": list(value.shape),
+        # Not copied: msgpack takes the bytes from where they are.
+        data = value.data.cast("B") if value.size else b""
+        return {
+            "dtype": self.dtype,
+            "shape": value.shape,
             "order": "C",
+            "data": data,
         }
-        for step in self.extra_of(value):
-            form["step"] = step
-        form["data"] = bytes(self.data_of(value))
-        return form
 
     def unpack(self, name: str, raw: Any) -> npt.NDArray[Any] | None:
         if raw is None and self.optional:
             return None
-        if not isinstance(raw, dict) or raw.keys() - {"step"} != _ARRAY_KEYS:
+        if not isinstance(raw, dict) or raw.keys() != _ARRAY_KEYS:
             raise MalformedError(
                 f"{name}: expected a map of dtype, shape, order and data"
             )
-        # The sizes are checked before any byte is looked at.
-        dtype, shape, size = self.checked_form(name, [raw["dtype"], raw["shape"]])
-        if raw["order"] != "C":
-            raise ShapeError(f"{name}: expected order C, got {str(raw['order'])[:8]!r}")
-        is_quantised = dtype != self.dtype
-        if ("step" in raw) != is_quantised:
-            raise MalformedError(
-                f"{name}: expected a step with dtype intB, and with no other"
-            )
-
-        data = raw["data"]
-        if not isinstance(data, bytes):
-            raise MalformedError(f"{name}: data must be a bin field")
-        if len(data) != size:
+        dtype = raw["dtype"]
+        if dtype != self.dtype:
             raise ShapeError(
-                f"{name}: {list(shape)} of {dtype} does not fit {len(data)} bytes"
+                f"{name}: expected dtype {self.dtype}, got {str(dtype)[:32]!r}"
             )
-        return self.of_data(name, dtype, shape, raw.get("step"), data)
 
-    def dtype_of(self, value: Any) -> str:
-        """Dtype of a checked array as it travels."""
-        return self.dtype
-
-    def extra_of(self, value: Any) -> tuple[float, ...]:
-        """Numbers of a frame that its array needs: the step of a quantised one."""
-        return ()
-
-    def data_of(self, value: Any) -> Any:
-        """Bytes of a checked array, not copied where it has them already."""
-        return value.data
-
-    def checked_form(self, name: str, form: Any) -> tuple[str, tuple[int, ...], int]:
-        """Dtype, shape and number of bytes of an array, by [dtype, shape], or MessageError."""
-        if not isinstance(form, list) or len(form) != 2:
-            raise MalformedError(f"{name}: expected dtype and shape")
-        dtype, shape = form
-        bits = self._bits_of(name, dtype)
-        # Not isinstance: True is an integer of Python, but no side.
-        is_list = isinstance(shape, list)
-        if not is_list or not all(type(side) is int for side in shape):
-            raise MalformedError(f"{name}: shape must be a list of whole numbers")
-        self._check_shape(name, tuple(shape))
-        return dtype, tuple(shape), n_bytes(math.prod(shape), bits)
-
-    def of_data(
-        self,
-        name: str,
-        dtype: str,
-        shape: tuple[int, ...],
-        extra: Any,
-        data: bytes | memoryview,
-    ) -> npt.NDArray[Any]:
-        """The array of bytes, as many as `checked_form` returned; MessageError if not finite."""
+        # The sizes are checked before any byte is looked at.
+        shape = self._shape_of(name, raw)
+        data = _data_of(name, raw, math.prod(shape) * self._dtype.itemsize)
         # numpy would take any byte but 0 for true, and keep it.
         if self._dtype.kind == "b" and max(data, default=0) > 1:
             raise MalformedError(f"{name}: a boolean byte other than 0 and 1")
@@ -383,13 +314,17 @@ class Array(FieldKind):
         self._check_finite(name, value)
         return value
 
-    def _bits_of(self, name: str, dtype: Any) -> int:
-        """Number of bits of an element of a dtype as it travels, or MessageError."""
-        if dtype != self.dtype:
-            raise ShapeError(
-                f"{name}: expected dtype {self.dtype}, got {str(dtype)[:32]!r}"
-            )
-        return 8 * self._dtype.itemsize
+    def _shape_of(self, name: str, raw: dict[str, Any]) -> tuple[int, ...]:
+        """Shape of an array by its map, or MessageError."""
+        if raw["order"] != "C":
+            raise ShapeError(f"{name}: expected order C, got {str(raw['order'])[:8]!r}")
+        sides = raw["shape"]
+        # By their types: True is an integer of Python, but no side.
+        if not isinstance(sides, list) or set(map(type, sides)) - {int}:
+            raise MalformedError(f"{name}: shape must be a list of whole numbers")
+        shape = tuple(sides)
+        self._check_shape(name, shape)
+        return shape
 
     @functools.cached_property
     def _dtype(self) -> np.dtype[Any]:
@@ -444,55 +379,53 @@ class Samples(Array):
         # `checked` is a plain array: `ascontiguousarray` drops bits and step.
         return value.reshape(checked.shape)
 
-    def dtype_of(self, value: Any) -> str:
+    def pack(self, value: Any) -> Any:
+        form = super().pack(value)
         if isinstance(value, Quantised):
-            return f"int{value.bits}"
-        return self.dtype
+            form["dtype"] = f"int{value.bits}"
+            form["step"] = value.step
+            form["data"] = packed(value.codes(), value.bits)
+        return form
 
-    def extra_of(self, value: Any) -> tuple[float, ...]:
-        if isinstance(value, Quantised):
-            return (value.step,)
-        return ()
-
-    def data_of(self, value: Any) -> Any:
-        if isinstance(value, Quantised):
-            return packed(value.codes(), value.bits)
-        return super().data_of(value)
-
-    def of_data(
-        self,
-        name: str,
-        dtype: str,
-        shape: tuple[int, ...],
-        extra: Any,
-        data: bytes | memoryview,
-    ) -> npt.NDArray[Any]:
-        if dtype == self.dtype:
-            return super().of_data(name, dtype, shape, extra, data)
-
-        bits = self._bits_of(name, dtype)
-        if type(extra) is not float:
+    def unpack(self, name: str, raw: Any) -> npt.NDArray[Any] | None:
+        if not isinstance(raw, dict) or raw.keys() != _QUANTISED_KEYS:
+            return super().unpack(name, raw)
+        bits = _bits_of(name, raw["dtype"])
+        step = raw["step"]
+        if type(step) is not float:
             raise MalformedError(f"{name}: step must be a float")
-        _check_quantiser(name, bits, extra)
+        _check_quantiser(name, bits, step)
+        shape = self._shape_of(name, raw)
+        n_codes = math.prod(shape)
+        data = _data_of(name, raw, n_bytes(n_codes, bits))
 
         # The largest code of `bits` bits is 1 less than they could hold.
-        codes = unpacked(data, math.prod(shape), bits)
+        codes = unpacked(data, n_codes, bits)
         if codes.max() > largest_code(bits):
             raise MalformedError(f"{name}: a code beyond {largest_code(bits)}")
-        return Quantised.of(codes.reshape(shape), bits, extra)
+        return Quantised.of(codes.reshape(shape), bits, step)
 
-    def _bits_of(self, name: str, dtype: Any) -> int:
-        if dtype == self.dtype:
-            return super()._bits_of(name, dtype)
-        # At most four digits: int() of thousands takes long.
-        match = None
-        if isinstance(dtype, str):
-            match = re.fullmatch("int([1-9][0-9]{0,3})", dtype)
-        if match is None:
-            raise ShapeError(f"{name}: expected dtype intB, got {str(dtype)[:32]!r}")
-        bits = int(match[1])
-        _check_quantiser(name, bits, 1.0)
-        return bits
+
+def _data_of(name: str, raw: dict[str, Any], size: int) -> bytes:
+    """Bytes of an array by its map, of which there must be `size`, or MessageError."""
+    data = raw["data"]
+    if not isinstance(data, bytes):
+        raise MalformedError(f"{name}: data must be a bin field")
+    if len(data) != size:
+        form = f"{raw['shape']} of {raw['dtype']}"
+        raise ShapeError(f"{name}: {form} does not fit {len(data)} bytes")
+    return data
+
+
+def _bits_of(name: str, dtype: Any) -> int:
+    """Bits of a quantised number by the dtype "intB", or MessageError."""
+    # At most four digits: int() of thousands takes long.
+    match = None
+    if isinstance(dtype, str):
+        match = re.fullmatch("int([1-9][0-9]{0,3})", dtype)
+    if match is None:
+        raise ShapeError(f"{name}: expected dtype intB, got {str(dtype)[:32]!r}")
+    return int(match[1])
 
 
 def _check_quantiser(name: str, bits: int, step: float) -> None:

@@ -1,39 +1,45 @@
-"""The wire forms: a topic, a zero byte, and one msgpack map or the head and arrays of a frame.
+"""The wire form: a topic, a zero byte, and one msgpack map of a message's fields.
 
-A message is one buffer, which ZeroMQ carries as one part and selects by its begin. The form of
-frames is in `buffers`; recordings hold maps, and a map of any message is read from the wire too.
-Nothing on the wire is ever executed.
+A message is one buffer, which ZeroMQ carries as one part and selects by its begin. Recordings hold
+the same maps. Nothing on the wire is ever executed.
 """
 
+import functools
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
 import msgpack
-import numpy as np
 
 from .base import Message, omitted_fields, wire_fields
-from .buffers import (
-    MARK,
-    Payload,
-    decode_frame,
-    frame_bytes,
-    frame_pieces,
-    is_frame,
-    unpacked,
-)  # fmt: skip
 from .errors import FieldError, MalformedError, OversizedError, TruncatedError
 from .fields import MAX_ELEMENTS
 from .schemas import SCHEMAS, class_of
 from .state import End
-from .topics import MAX_TOPIC_BYTES
+from .topics import MAX_PATCHES, MAX_TOPIC_BYTES
 
 __all__ = [
-    "MAX_MESSAGE_BYTES", "SCHEMAS", "Payload", "decode", "encode", "is_end", "received",
-    "size_bytes", "wire_bytes",
+    "MAX_MESSAGE_BYTES", "SCHEMAS", "Payload", "decode", "encode", "head_of", "is_end",
+    "received", "size_bytes", "wire_bytes",
 ]  # fmt: skip
+
+Payload = bytes | memoryview
+"""A message as received, without its topic and the zero byte behind it."""
 
 MAX_MESSAGE_BYTES = 8 * MAX_ELEMENTS + 65536
 """Largest payload, bytes: two of the largest float32 arrays and room for the other fields."""
-
+_LIMITS = {
+    "max_str_len": 4096,
+    "max_array_len": MAX_PATCHES,
+    "max_map_len": 64,
+    "max_ext_len": 0,
+}
+_MARKS = frozenset({"schema", "version"})
+"""Keys of a map that are no fields of the message."""
 _END: bytes = msgpack.packb("schema") + msgpack.packb(End.schema)
 """Bytes after the first one, the number of fields, in the payload of an End."""
+_N_FORMS = 256
+"""Sets of fields that are known at a time: a graph has some ten."""
 
 
 def is_end(payload: Payload) -> bool:
@@ -43,9 +49,6 @@ def is_end(payload: Payload) -> bool:
 
 def wire_bytes(message: Message) -> bytes:
     """Turn a message into the buffer that travels."""
-    # States are sent rarely: one map is enough for them.
-    if is_frame(type(message)):
-        return b"".join(frame_pieces(message))
     return b"\0".join(encode(message))
 
 
@@ -60,23 +63,29 @@ def received(buffer: bytes) -> tuple[bytes, Payload]:
 
 def encode(message: Message) -> tuple[bytes, bytes]:
     """Turn a message into topic and payload, one map: the form of recordings."""
+    return message.topic.encode(), msgpack.packb(_map_of(message))
+
+
+def _map_of(message: Message) -> dict[str, Any]:
     cls = type(message)
-    body = {"schema": message.schema, "version": message.version}
+    values = message.__dict__
+    body = {"schema": cls.schema, "version": cls.version}
     omitted = omitted_fields(cls)
     for name, kind in wire_fields(cls).items():
-        value = message.__dict__[name]
-        # A default is never an array.
-        if (
-            name not in omitted
-            or isinstance(value, np.ndarray)
-            or value != omitted[name]
-        ):
-            body[name] = kind.pack(value)
-    return message.topic.encode(), msgpack.packb(body)
+        value = values[name]
+        if name in omitted and kind.is_default(value, omitted[name]):
+            continue
+        body[name] = kind.pack(value)
+    return body
+
+
+def size_bytes(message: Message) -> int:
+    """Size on the wire in bytes, topic included."""
+    return len(wire_bytes(message))
 
 
 def decode(topic: bytes, payload: Payload) -> Message:
-    """Turn topic and payload back into the message; its arrays are read-only views of `payload`.
+    """Turn topic and payload back into the message; its arrays are read-only.
 
     Raises MessageError, one of its subclasses, for every input that the encoders cannot have made:
     malformed, truncated, oversized, an unknown schema or version, a wrong shape, a value out of
@@ -92,22 +101,63 @@ def decode(topic: bytes, payload: Payload) -> Message:
         raise TruncatedError(
             "no payload follows the topic: the sender runs another version"
         )
-    if payload[0] == MARK:
-        return decode_frame(topic, payload)
 
-    message = _of_map(unpacked(payload, dict, n_bytes))
+    message = _of_map(_unpacked(payload))
     if message.topic.encode() != topic:
         raise FieldError(f"a message of {message.topic} came under topic {topic!r}")
     return message
 
 
-def _of_map(body: dict[object, object]) -> Message:
-    """Message of a map, or MessageError."""
-    cls = class_of(body)
+def head_of(payload: Payload) -> tuple[str, int, int, bool]:
+    """Run id, sequence number and stamp of a message, unchecked, and True if it ends its stream;
+    the number is then that of its messages. Raises MessageError if it is no map, KeyError if it
+    lacks a field.
+    """
+    body = _unpacked(payload)
+    ends = body["schema"] == End.schema
+    seq = body["n_messages" if ends else "seq"]
+    return str(body["run_id"]), seq, body["stamp_ns"], ends
+
+
+def _unpacked(payload: Payload) -> dict[str, Any]:
+    """The msgpack map of a payload, its values unchecked, or MessageError."""
+    n_bytes = len(payload)
+    try:
+        body = msgpack.unpackb(payload, raw=False, strict_map_key=True, **_LIMITS)
+    except msgpack.exceptions.ExtraData as error:
+        raise MalformedError("more than one msgpack object in a message") from error
+    # msgpack documents no narrower class for malformed bytes, and none for bytes that end early.
+    except Exception as error:
+        if "incomplete" in str(error):
+            raise TruncatedError(f"message cut off after {n_bytes} bytes") from error
+        reason = str(error)[:120] or type(error).__name__
+        raise MalformedError(f"not a msgpack map: {reason}") from error
+    if not isinstance(body, dict):
+        text = f"expected one msgpack map, got {type(body).__name__}"
+        raise MalformedError(text)
+    return body
+
+
+@dataclass(frozen=True)
+class _Form:
+    """Fields that a message of a class was sent with: the function that reads each, and all fields
+    in their order, those that are omitted with their default.
+    """
+
+    fields: tuple[tuple[str, Callable[[str, Any], Any]], ...]
+    values: dict[str, Any]
+
+
+# From frame to frame the same fields come: what follows from their names is looked up once. A set
+# that is refused is not kept, so that hostile messages fill no memory.
+@functools.lru_cache(maxsize=_N_FORMS)
+def _form_of(schema: str, keys: tuple[str, ...]) -> _Form:
+    """Form of a message of a known schema with these keys, or MalformedError."""
+    cls = SCHEMAS[schema]
     fields = wire_fields(cls)
     omitted = omitted_fields(cls)
 
-    sent = body.keys() - {"schema", "version"}
+    sent = set(keys) - _MARKS
     # Fields that may be omitted are not missing.
     unknown = sent - fields.keys()
     missing = fields.keys() - omitted.keys() - sent
@@ -115,18 +165,20 @@ def _of_map(body: dict[object, object]) -> Message:
         names = ", ".join(sorted(map(str, unknown | missing)))
         raise MalformedError(f"{cls.schema}: missing or unknown fields {names[:200]}")
 
-    # A field that is omitted has its default.
+    readers = []
     values = {}
     for name, kind in fields.items():
+        values[name] = omitted.get(name)
         if name in sent:
-            values[name] = kind.unpack(name, body[name])
-        else:
-            values[name] = omitted[name]
+            readers.append((name, kind.unpack))
+    return _Form(tuple(readers), values)
+
+
+def _of_map(body: dict[Any, Any]) -> Message:
+    """Message of a map, or MessageError."""
+    cls = class_of(body)
+    form = _form_of(cls.schema, tuple(body))
+    values = form.values.copy()
+    for name, unpack in form.fields:
+        values[name] = unpack(name, body[name])
     return cls.assembled(values)
-
-
-def size_bytes(message: Message) -> int:
-    """Size on the wire in bytes, topic included."""
-    if not is_frame(type(message)):
-        return len(wire_bytes(message))
-    return frame_bytes(message)

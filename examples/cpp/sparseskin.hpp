@@ -5,8 +5,8 @@
 //     while (reader.next(contacts, 50) != sparseskin::Status::ended) { ... }
 //
 // C++17; link with -lzmq. The address is that of `sparseskin topic info /skin/contacts`. Graphs with
-// keys are not read. The wire form is described in messages/buffers.py of sparseskin; a message of
-// another version of it is refused with an error that names both.
+// keys are not read. A message is a topic, a zero byte and a map of msgpack, as messages/wire.py of
+// sparseskin has it; one of another version is refused with an error that names both.
 #ifndef SPARSESKIN_HPP
 #define SPARSESKIN_HPP
 
@@ -22,7 +22,7 @@
 #include <time.h>
 #include <vector>
 
-static_assert(__BYTE_ORDER__ == __ORDER_LITTLE_ENDIAN__, "the wire form is little-endian");
+static_assert(__BYTE_ORDER__ == __ORDER_LITTLE_ENDIAN__, "arrays are little-endian");
 
 namespace sparseskin {
 
@@ -110,10 +110,8 @@ namespace detail {
 
 constexpr std::size_t max_message = 8 * (std::size_t{1} << 20) + 65536;
 constexpr std::size_t max_elements = std::size_t{1} << 20;
-constexpr std::size_t alignment = 16;
-constexpr unsigned char mark = 0xC1;
-constexpr std::int64_t wire_version = 3;
-
+// Values of msgpack in a message: 256 patches have some 1600. Each takes a hundred times its bytes.
+constexpr std::size_t max_values = 8192;
 // A part of a message that is read from its begin; it never reads beyond the end.
 class Bytes {
 public:
@@ -142,38 +140,55 @@ public:
         return value;
     }
 
-    void align() { take((alignment - at_ % alignment) % alignment); }
+    void count_value() {
+        if (++n_values_ > max_values) throw Error("message: too many values");
+    }
 
 private:
     const unsigned char* data_;
     std::size_t size_;
     std::size_t at_ = 0;
+    std::size_t n_values_ = 0;
 };
 
-// A value of msgpack: what the descriptions of frames are made of.
+// A value of msgpack. The bytes of texts and binary fields are those of the message.
 struct Value {
-    enum class Kind { nothing, number, text, list, map };
+    enum class Kind { nothing, whole, real, text, list, map };
 
     Kind kind = Kind::nothing;
-    std::int64_t number = 0;
-    std::string text;
+    std::int64_t whole = 0;
+    double real = NAN;
+    const unsigned char* data = nullptr;
+    std::size_t size = 0;
     std::vector<Value> list;
     std::map<std::string, Value> map;
 
-    const Value& at(const std::string& key) const {
-        const auto found = map.find(key);
-        if (found == map.end()) throw Error("description without " + key);
-        return found->second;
+    // The value of a key; nothing where there is none: sparseskin leaves out what is as ever.
+    const Value& operator[](const std::string& key) const {
+        static const Value missing;
+        const auto entry = map.find(key);
+        return entry == map.end() ? missing : entry->second;
     }
 
-    std::int64_t as_number() const {
-        if (kind != Kind::number) throw Error("description: expected a number");
-        return number;
+    bool is_missing() const { return kind == Kind::nothing; }
+
+    std::int64_t as_whole(const char* name) const {
+        if (kind != Kind::whole) throw Error(std::string(name) + ": expected a whole number");
+        return whole;
     }
 
-    const std::string& as_text() const {
-        if (kind != Kind::text) throw Error("description: expected a text");
-        return text;
+    // NaN where a number is not known.
+    double as_real(const char* name) const {
+        if (kind == Kind::whole) return static_cast<double>(whole);
+        if (kind != Kind::real && !is_missing()) {
+            throw Error(std::string(name) + ": expected a number");
+        }
+        return real;
+    }
+
+    std::string as_text(const char* name) const {
+        if (kind != Kind::text) throw Error(std::string(name) + ": expected a text");
+        return std::string(data, data + size);
     }
 };
 
@@ -182,15 +197,31 @@ inline Value unpack(Bytes& bytes, int depth = 8);
 inline Value unpack_text(Bytes& bytes, std::size_t n) {
     Value value;
     value.kind = Value::Kind::text;
-    const unsigned char* begin = bytes.take(n);
-    value.text.assign(begin, begin + n);
+    value.data = bytes.take(n);
+    value.size = n;
     return value;
 }
 
-inline Value unpack_number(std::int64_t number) {
+inline Value unpack_whole(std::int64_t whole) {
     Value value;
-    value.kind = Value::Kind::number;
-    value.number = number;
+    value.kind = Value::Kind::whole;
+    value.whole = whole;
+    return value;
+}
+
+// A floating-point number of 4 or 8 bytes, the highest byte first.
+inline Value unpack_real(Bytes& bytes, std::size_t n) {
+    Value value;
+    value.kind = Value::Kind::real;
+    const std::uint64_t bits = bytes.big_endian(n);
+    if (n == sizeof(double)) {
+        std::memcpy(&value.real, &bits, sizeof(double));
+    } else {
+        const std::uint32_t half = static_cast<std::uint32_t>(bits);
+        float number;
+        std::memcpy(&number, &half, sizeof(float));
+        value.real = number;
+    }
     return value;
 }
 
@@ -205,86 +236,43 @@ inline Value unpack_map(Bytes& bytes, std::size_t n, int depth) {
     Value value;
     value.kind = Value::Kind::map;
     for (; n > 0; --n) {
-        const std::string key = unpack(bytes, depth).as_text();
+        const std::string key = unpack(bytes, depth).as_text("key of a map");
         value.map[key] = unpack(bytes, depth);
     }
     return value;
 }
 
-// The next value of msgpack. Binary fields are texts, and floats are skipped: none is needed.
+// The next value of msgpack; no map or list is nested deeper than `depth`.
 inline Value unpack(Bytes& bytes, int depth) {
-    if (depth == 0) throw Error("description: nested too deep");
+    if (depth == 0) throw Error("message: nested too deep");
+    bytes.count_value();
     const unsigned char head = bytes.take<unsigned char>();
-    if (head < 0x80) return unpack_number(head);
+    if (head < 0x80) return unpack_whole(head);
     if (head < 0x90) return unpack_map(bytes, head & 0x0F, depth - 1);
     if (head < 0xA0) return unpack_list(bytes, head & 0x0F, depth - 1);
     if (head < 0xC0) return unpack_text(bytes, head & 0x1F);
-    if (head >= 0xE0) return unpack_number(static_cast<signed char>(head));
+    if (head >= 0xE0) return unpack_whole(static_cast<signed char>(head));
     switch (head) {
         case 0xC0: return Value();
-        case 0xC2: return unpack_number(0);
-        case 0xC3: return unpack_number(1);
+        case 0xC2: return unpack_whole(0);
+        case 0xC3: return unpack_whole(1);
         case 0xC4: case 0xD9: return unpack_text(bytes, bytes.big_endian(1));
         case 0xC5: case 0xDA: return unpack_text(bytes, bytes.big_endian(2));
         case 0xC6: case 0xDB: return unpack_text(bytes, bytes.big_endian(4));
-        case 0xCA: bytes.take(4); return Value();
-        case 0xCB: bytes.take(8); return Value();
-        case 0xCC: return unpack_number(static_cast<std::int64_t>(bytes.big_endian(1)));
-        case 0xCD: return unpack_number(static_cast<std::int64_t>(bytes.big_endian(2)));
-        case 0xCE: return unpack_number(static_cast<std::int64_t>(bytes.big_endian(4)));
-        case 0xCF: return unpack_number(static_cast<std::int64_t>(bytes.big_endian(8)));
-        case 0xD0: return unpack_number(static_cast<std::int8_t>(bytes.big_endian(1)));
-        case 0xD1: return unpack_number(static_cast<std::int16_t>(bytes.big_endian(2)));
-        case 0xD2: return unpack_number(static_cast<std::int32_t>(bytes.big_endian(4)));
-        case 0xD3: return unpack_number(static_cast<std::int64_t>(bytes.big_endian(8)));
+        case 0xCA: return unpack_real(bytes, 4);
+        case 0xCB: return unpack_real(bytes, 8);
+        case 0xCC: return unpack_whole(static_cast<std::int64_t>(bytes.big_endian(1)));
+        case 0xCD: return unpack_whole(static_cast<std::int64_t>(bytes.big_endian(2)));
+        case 0xCE: return unpack_whole(static_cast<std::int64_t>(bytes.big_endian(4)));
+        case 0xCF: return unpack_whole(static_cast<std::int64_t>(bytes.big_endian(8)));
+        case 0xD0: return unpack_whole(static_cast<std::int8_t>(bytes.big_endian(1)));
+        case 0xD1: return unpack_whole(static_cast<std::int16_t>(bytes.big_endian(2)));
+        case 0xD2: return unpack_whole(static_cast<std::int32_t>(bytes.big_endian(4)));
+        case 0xD3: return unpack_whole(static_cast<std::int64_t>(bytes.big_endian(8)));
         case 0xDC: return unpack_list(bytes, bytes.big_endian(2), depth - 1);
         case 0xDE: return unpack_map(bytes, bytes.big_endian(2), depth - 1);
-        default: throw Error("description: unknown type of msgpack");
+        default: throw Error("message: not a map of msgpack");
     }
-}
-
-// Fields of a schema by how they travel, in the order of their declaration in sparseskin: texts;
-// numbers of the message and of each patch with their type, q int64, d double, ? bool; arrays.
-struct Field {
-    const char* name;
-    char type;
-};
-
-struct Schema {
-    const char* name;
-    std::int64_t version;
-    std::vector<const char*> texts;
-    std::vector<Field> numbers;
-    std::vector<Field> of_patches;
-    std::vector<Field> arrays;  // type: f float, i int32, b bool, u uint8
-};
-
-inline const Schema& schema_of(const Reconstruction&) {
-    static const Schema schema{
-        "reconstruction",
-        2,
-        {"patch", "run_id", "names", "phi", "reason"},
-        {{"stamp_ns", 'q'}, {"seq", 'q'}, {"done_ns", 'q'}, {"skipped", 'q'}, {"quiet", 'q'}},
-        {{"iterations", 'q'}, {"residual", 'd'}, {"solve_ns", 'q'}, {"error", 'd'},
-         {"trusted", '?'}, {"unchanged", '?'}},
-        {{"missing", 'u'}, {"forces", 'f'}, {"sd", 'f'}},
-    };
-    return schema;
-}
-
-inline const Schema& schema_of(const Contacts&) {
-    static const Schema schema{
-        "contacts",
-        2,
-        {"patch", "run_id", "names"},
-        {{"stamp_ns", 'q'}, {"seq", 'q'}, {"done_ns", 'q'}},
-        {{"trusted", '?'}},
-        {{"id", 'i'}, {"total", 'f'}, {"total_sd", 'f'}, {"peak", 'f'}, {"centre", 'f'},
-         {"centre_sd", 'f'}, {"area", 'i'}, {"velocity", 'f'}, {"age_s", 'f'}, {"over", 'b'},
-         {"sliding", 'b'}, {"place_mm", 'f'}, {"place_sd_mm", 'f'}, {"velocity_mm_s", 'f'},
-         {"area_mm2", 'f'}, {"normal", 'f'}, {"patch_of", 'i'}, {"events", 'i'}},
-    };
-    return schema;
 }
 
 // An array within a message; its bytes are those of the message.
@@ -301,231 +289,275 @@ struct Array {
     }
 };
 
-// A frame, its fields by name.
-struct Frame {
-    std::map<std::string, std::string> texts;
-    std::map<std::string, std::vector<std::int64_t>> wholes;
-    std::map<std::string, std::vector<double>> reals;
-    std::map<std::string, Array> arrays;
-    std::vector<std::string> patches;
-
-    const Array* array(const std::string& name) const {
-        const auto found = arrays.find(name);
-        return found == arrays.end() ? nullptr : &found->second;
-    }
-};
-
 inline std::vector<std::string> words(const std::string& text) {
-    std::vector<std::string> found(1);
+    std::vector<std::string> parts(1);
     for (char letter : text) {
-        if (letter == ' ') found.emplace_back();
-        else found.back() += letter;
+        if (letter == ' ') parts.emplace_back();
+        else parts.back() += letter;
     }
-    return found;
+    return parts;
 }
 
-inline void read_number(Frame& frame, const Field& field, Bytes& bytes) {
-    if (field.type == 'q') frame.wholes[field.name].push_back(bytes.take<std::int64_t>());
-    if (field.type == 'd') frame.reals[field.name].push_back(bytes.take<double>());
-    if (field.type == '?') frame.wholes[field.name].push_back(*bytes.take(1) != 0);
+// The map of a message: its topic and a zero byte come before it.
+inline Value read_map(const unsigned char* data, std::size_t size, std::size_t n_topic) {
+    Bytes bytes(data, size);
+    bytes.take(n_topic + 1);
+    Value body = unpack(bytes);
+    if (body.kind != Value::Kind::map) throw Error("message: not a map of msgpack");
+    if (bytes.left() != 0) throw Error("message too long");
+    return body;
 }
 
-inline std::size_t item_size(const Field& field, const std::string& dtype) {
-    static const std::map<char, std::pair<const char*, std::size_t>> forms{
-        {'f', {"<f4", 4}}, {'i', {"<i4", 4}}, {'b', {"|b1", 1}}, {'u', {"|u1", 1}}};
-    const auto& form = forms.at(field.type);
-    if (dtype != form.first) throw Error(std::string(field.name) + ": another dtype");
-    return form.second;
+inline void check_version(const Value& body, const std::string& schema, std::int64_t known) {
+    const std::string name = body["schema"].as_text("schema");
+    if (name != schema) throw Error("a message of schema " + name + ", expected " + schema);
+    const std::int64_t version = body["version"].as_whole("version");
+    if (version != known) {
+        throw Error(schema + ": version " + std::to_string(version) + "; this reader knows " +
+                    std::to_string(known));
+    }
 }
 
-inline Array read_array(const Field& field, const Value& form, Bytes& bytes) {
-    if (form.list.size() != 2) throw Error(std::string(field.name) + ": expected dtype and shape");
-    const std::size_t size = item_size(field, form.list[0].as_text());
+inline void set_head(Head& head, const Value& body) {
+    head.patch = body["patch"].as_text("patch");
+    head.run_id = body["run_id"].as_text("run_id");
+    head.stamp_ns = body["stamp_ns"].as_whole("stamp_ns");
+    head.seq = body["seq"].as_whole("seq");
+    // The only patch of a message has its name.
+    const Value& names = body["names"];
+    head.patches = words(names.is_missing() ? head.patch : names.as_text("names"));
+}
+
+// What a message has of each of its patches, `n` values; `unstated` of each where it has none.
+inline std::vector<Value> of_patches(const Value& body, const char* name, std::size_t n,
+                                     const Value& unstated) {
+    const std::vector<Value>& list = body[name].list;
+    if (list.empty()) return std::vector<Value>(n, unstated);
+    if (list.size() != n) throw Error(std::string(name) + ": expected one of each patch");
+    return list;
+}
+
+inline std::vector<std::int64_t> wholes(const Value& body, const char* name, std::size_t n) {
+    std::vector<std::int64_t> numbers;
+    for (const Value& value : of_patches(body, name, n, Value())) {
+        numbers.push_back(value.as_whole(name));
+    }
+    return numbers;
+}
+
+inline std::vector<double> reals(const Value& body, const char* name, std::size_t n) {
+    std::vector<double> numbers;
+    for (const Value& value : of_patches(body, name, n, Value())) {
+        numbers.push_back(value.as_real(name));
+    }
+    return numbers;
+}
+
+inline std::vector<bool> flags(const Value& body, const char* name, std::size_t n, bool unstated) {
+    std::vector<bool> states;
+    for (const Value& value : of_patches(body, name, n, unpack_whole(unstated))) {
+        states.push_back(value.as_whole(name) != 0);
+    }
+    return states;
+}
+
+// An array of a dtype whose items have `item_size` bytes; without data where there is none.
+inline Array array_of(const Value& body, const char* name, const char* dtype,
+                      std::size_t item_size) {
     Array array;
+    const Value& form = body[name];
+    if (form.is_missing()) return array;
+    if (form["dtype"].as_text(name) != dtype) throw Error(std::string(name) + ": another dtype");
     array.n = 1;
-    for (const Value& side : form.list[1].list) {
-        const std::int64_t n = side.as_number();
+    for (const Value& side : form["shape"].list) {
+        const std::int64_t n = side.as_whole(name);
         if (n < 0 || n > static_cast<std::int64_t>(max_elements)) throw Error("array too large");
         array.shape.push_back(static_cast<std::size_t>(n));
         array.n *= static_cast<std::size_t>(n);
         if (array.n > max_elements) throw Error("array too large");
     }
-    bytes.align();
-    array.data = bytes.take(array.n * size);
+    const Value& bytes = form["data"];
+    if (bytes.kind != Value::Kind::text || bytes.size != array.n * item_size) {
+        throw Error(std::string(name) + ": its bytes do not fit its shape");
+    }
+    array.data = bytes.data;
     return array;
 }
 
-inline Value read_description(const Schema& schema, Bytes& bytes) {
-    const std::size_t size = bytes.take<std::uint16_t>();
-    Bytes part(bytes.take(size), size);
-    Value description = unpack(part);
-    const std::int64_t wire = description.at("wire").as_number();
-    const std::int64_t version = description.at("version").as_number();
-    if (wire != wire_version || version != schema.version) {
-        throw Error("wire form " + std::to_string(wire) + ", version " + std::to_string(version) +
-                    "; this reader knows " + std::to_string(wire_version) + ", " +
-                    std::to_string(schema.version));
-    }
-    if (description.at("schema").as_text() != schema.name) throw Error("another schema");
-    return description;
+inline Array floats_of(const Value& body, const char* name) {
+    return array_of(body, name, "<f4", sizeof(float));
 }
 
-// A whole message: its topic, a zero byte, the mark, the description, numbers, and arrays.
-inline Frame read_frame(const Schema& schema, const unsigned char* data, std::size_t size,
-                        std::size_t n_topic) {
-    Bytes bytes(data, size);
-    bytes.take(n_topic + 1);
-    if (bytes.take<unsigned char>() != mark) throw Error("no frame");
-    const Value description = read_description(schema, bytes);
-    Frame frame;
-    const std::vector<Value>& texts = description.at("texts").list;
-    for (std::size_t k = 0; k < schema.texts.size(); ++k) {
-        frame.texts[schema.texts[k]] = k < texts.size() ? texts[k].as_text() : "";
-    }
-    const std::string& names = frame.texts["names"];
-    frame.patches = words(names.empty() ? frame.texts["patch"] : names);
-    for (const Field& field : schema.numbers) read_number(frame, field, bytes);
-    for (const Field& field : schema.of_patches) {
-        for (std::size_t k = 0; k < frame.patches.size(); ++k) read_number(frame, field, bytes);
-    }
-    bytes.align();
-    const std::map<std::string, Value>& forms = description.at("arrays").map;
-    for (const Field& field : schema.arrays) {
-        const auto form = forms.find(field.name);
-        if (form == forms.end()) continue;
-        frame.arrays[field.name] = read_array(field, form->second, bytes);
-    }
-    if (bytes.left() != 0) throw Error("message too long");
-    return frame;
-}
-
-inline void set_head(Head& head, const Frame& frame) {
-    head.patch = frame.texts.at("patch");
-    head.run_id = frame.texts.at("run_id");
-    head.patches = frame.patches;
-    head.stamp_ns = frame.wholes.at("stamp_ns")[0];
-    head.seq = frame.wholes.at("seq")[0];
-}
-
-inline std::vector<bool> flags(const std::vector<std::int64_t>& wholes) {
-    return std::vector<bool>(wholes.begin(), wholes.end());
+inline Array wholes_of(const Value& body, const char* name) {
+    return array_of(body, name, "<i4", sizeof(std::int32_t));
 }
 
 inline std::vector<float> floats(const Array& array) {
-    std::vector<float> found(array.n);
-    if (array.n > 0) std::memcpy(found.data(), array.data, array.n * sizeof(float));
-    return found;
+    std::vector<float> values(array.n);
+    if (array.n > 0) std::memcpy(values.data(), array.data, array.n * sizeof(float));
+    return values;
 }
 
-inline void convert(const Frame& frame, Reconstruction& found) {
-    const Array* forces = frame.array("forces");
-    if (forces == nullptr || forces->shape.size() != 3) throw Error("forces: expected 3 sides");
-    found = Reconstruction();
-    set_head(found, frame);
-    found.forces = floats(*forces);
-    found.n_sent = forces->shape[0];
-    found.n_rows = forces->shape[1];
-    found.n_cols = forces->shape[2];
-    if (const Array* sd = frame.array("sd")) found.sd = floats(*sd);
-    found.phi = frame.texts.at("phi");
-    found.done_ns = frame.wholes.at("done_ns")[0];
-    found.skipped = frame.wholes.at("skipped")[0];
-    found.quiet = frame.wholes.at("quiet")[0];
-    found.iterations = frame.wholes.at("iterations");
-    found.residual = frame.reals.at("residual");
-    found.solve_ns = frame.wholes.at("solve_ns");
-    found.error = frame.reals.at("error");
-    found.trusted = flags(frame.wholes.at("trusted"));
-    found.unchanged = flags(frame.wholes.at("unchanged"));
-    found.reason = words(frame.texts.at("reason"));
-    found.reason.resize(found.patches.size());
+// A number of frames, which is left out where it is 0.
+inline std::int64_t count(const Value& body, const char* name) {
+    return body[name].is_missing() ? 0 : body[name].as_whole(name);
 }
 
-// Entry k of a column of contacts; of `sides` numbers the one of that index. NaN: no such column.
-inline float real(const Frame& frame, const char* name, std::size_t k, std::size_t sides = 1,
-                  std::size_t index = 0) {
-    const Array* array = frame.array(name);
-    return array == nullptr ? NAN : array->at<float>(k * sides + index);
+inline void convert(const Value& body, Reconstruction& frame) {
+    check_version(body, "reconstruction", 2);
+    const Array forces = floats_of(body, "forces");
+    if (forces.shape.size() != 3) throw Error("forces: expected 3 sides");
+    frame = Reconstruction();
+    set_head(frame, body);
+    frame.forces = floats(forces);
+    frame.n_sent = forces.shape[0];
+    frame.n_rows = forces.shape[1];
+    frame.n_cols = forces.shape[2];
+    frame.sd = floats(floats_of(body, "sd"));
+    frame.phi = body["phi"].as_text("phi");
+    frame.done_ns = body["done_ns"].as_whole("done_ns");
+    frame.skipped = count(body, "skipped");
+    frame.quiet = count(body, "quiet");
+
+    const std::size_t n = frame.patches.size();
+    frame.iterations = wholes(body, "iterations", n);
+    frame.residual = reals(body, "residual", n);
+    frame.solve_ns = wholes(body, "solve_ns", n);
+    frame.error = reals(body, "error", n);
+    frame.trusted = flags(body, "trusted", n, true);
+    frame.unchanged = flags(body, "unchanged", n, false);
+    const Value& reason = body["reason"];
+    if (!reason.is_missing()) frame.reason = words(reason.as_text("reason"));
+    frame.reason.resize(n);
 }
 
-inline Contact contact(const Frame& frame, std::size_t k) {
-    Contact found;
-    found.id = frame.array("id")->at<std::int32_t>(k);
-    if (const Array* of = frame.array("patch_of")) {
-        found.patch = static_cast<std::size_t>(of->at<std::int32_t>(k));
-    }
-    found.total = real(frame, "total", k);
-    found.total_sd = real(frame, "total_sd", k);
-    found.peak = real(frame, "peak", k);
-    found.row = real(frame, "centre", k, 2, 0);
-    found.col = real(frame, "centre", k, 2, 1);
-    found.row_sd = real(frame, "centre_sd", k, 2, 0);
-    found.col_sd = real(frame, "centre_sd", k, 2, 1);
-    found.row_velocity = real(frame, "velocity", k, 2, 0);
-    found.col_velocity = real(frame, "velocity", k, 2, 1);
-    found.area = frame.array("area")->at<std::int32_t>(k);
-    found.age_s = real(frame, "age_s", k);
-    found.over = frame.array("over")->data[k] != 0;
-    found.sliding = frame.array("sliding")->data[k] != 0;
-    found.area_mm2 = real(frame, "area_mm2", k);
-    for (std::size_t side = 0; side < 3; ++side) {
-        found.place_mm[side] = real(frame, "place_mm", k, 3, side);
-        found.place_sd_mm[side] = real(frame, "place_sd_mm", k, 3, side);
-        found.velocity_mm_s[side] = real(frame, "velocity_mm_s", k, 3, side);
-        found.normal[side] = real(frame, "normal", k, 3, side);
-    }
-    return found;
+// A column of contacts: `sides` numbers of each of `n`. Where it may be left out, it has no data.
+inline Array column(Array array, const char* name, std::size_t n, std::size_t sides,
+                    bool is_needed) {
+    if (array.shape.empty() && !is_needed) return array;
+    if (array.shape.empty()) throw Error(std::string("contacts without ") + name);
+    if (array.n != n * sides) throw Error(std::string(name) + ": another length");
+    return array;
 }
 
-// Number of contacts of a frame; an error where a column is missing or has another length.
-inline std::size_t n_contacts(const Frame& frame) {
-    static const std::map<std::string, std::size_t> sides{
-        {"centre", 2}, {"centre_sd", 2}, {"velocity", 2}, {"place_mm", 3},
-        {"place_sd_mm", 3}, {"velocity_mm_s", 3}, {"normal", 3}};
-    for (const char* name : {"id", "total", "total_sd", "peak", "centre", "centre_sd", "area",
-                             "velocity", "age_s", "over", "sliding"}) {
-        if (frame.array(name) == nullptr) throw Error(std::string("contacts without ") + name);
+// Columns of contacts, by name.
+class Columns {
+public:
+    explicit Columns(const Value& body) : body_(body), id_(wholes_of(body, "id")) {
+        if (id_.shape.empty()) throw Error("contacts without id");
     }
-    const std::size_t n = frame.array("id")->n;
-    for (const auto& [name, array] : frame.arrays) {
-        const auto of = sides.find(name);
-        const std::size_t n_sides = of == sides.end() ? 1 : of->second;
-        if (name != "events" && array.n != n * n_sides) throw Error(name + ": another length");
+
+    std::size_t n() const { return id_.n; }
+
+    std::int32_t id(std::size_t k) const { return id_.at<std::int32_t>(k); }
+
+    Array floats(const char* name, std::size_t sides, bool is_needed) const {
+        return column(floats_of(body_, name), name, n(), sides, is_needed);
     }
-    return n;
+
+    Array wholes(const char* name, bool is_needed) const {
+        return column(wholes_of(body_, name), name, n(), 1, is_needed);
+    }
+
+    Array flags(const char* name) const {
+        return column(array_of(body_, name, "|b1", 1), name, n(), 1, true);
+    }
+
+private:
+    const Value& body_;
+    Array id_;
+};
+
+// Sets a number of each contact, of `sides` the one of an index.
+inline void set_floats(std::vector<Contact>& contacts, const Array& values, float Contact::* field,
+                       std::size_t sides = 1, std::size_t index = 0) {
+    for (std::size_t k = 0; k < contacts.size(); ++k) {
+        contacts[k].*field = values.at<float>(k * sides + index);
+    }
 }
 
-inline void convert(const Frame& frame, Contacts& found) {
-    found = Contacts();
-    set_head(found, frame);
-    found.done_ns = frame.wholes.at("done_ns")[0];
-    found.trusted = flags(frame.wholes.at("trusted"));
-    const std::size_t n = n_contacts(frame);
-    for (std::size_t k = 0; k < n; ++k) {
-        found.contacts.push_back(contact(frame, k));
-        if (found.contacts[k].patch >= found.patches.size()) throw Error("patch_of: no such patch");
+// Sets the three numbers of each contact; they stay NaN where there is no such column.
+inline void set_vectors(std::vector<Contact>& contacts, const Array& values,
+                        float (Contact::* field)[3]) {
+    if (values.data == nullptr) return;
+    for (std::size_t k = 0; k < contacts.size(); ++k) {
+        for (std::size_t side = 0; side < 3; ++side) {
+            (contacts[k].*field)[side] = values.at<float>(3 * k + side);
+        }
     }
-    const Array* events = frame.array("events");
-    for (std::size_t k = 0; events != nullptr && k + 2 < events->n; k += 3) {
+}
+
+inline std::vector<Contact> contacts_of(const Value& body, std::size_t n_patches) {
+    const Columns columns(body);
+    std::vector<Contact> contacts(columns.n());
+    set_floats(contacts, columns.floats("total", 1, true), &Contact::total);
+    set_floats(contacts, columns.floats("total_sd", 1, true), &Contact::total_sd);
+    set_floats(contacts, columns.floats("peak", 1, true), &Contact::peak);
+    set_floats(contacts, columns.floats("age_s", 1, true), &Contact::age_s);
+    const Array centre = columns.floats("centre", 2, true);
+    set_floats(contacts, centre, &Contact::row, 2, 0);
+    set_floats(contacts, centre, &Contact::col, 2, 1);
+    const Array centre_sd = columns.floats("centre_sd", 2, true);
+    set_floats(contacts, centre_sd, &Contact::row_sd, 2, 0);
+    set_floats(contacts, centre_sd, &Contact::col_sd, 2, 1);
+    const Array velocity = columns.floats("velocity", 2, true);
+    set_floats(contacts, velocity, &Contact::row_velocity, 2, 0);
+    set_floats(contacts, velocity, &Contact::col_velocity, 2, 1);
+
+    set_vectors(contacts, columns.floats("place_mm", 3, false), &Contact::place_mm);
+    set_vectors(contacts, columns.floats("place_sd_mm", 3, false), &Contact::place_sd_mm);
+    set_vectors(contacts, columns.floats("velocity_mm_s", 3, false), &Contact::velocity_mm_s);
+    set_vectors(contacts, columns.floats("normal", 3, false), &Contact::normal);
+    const Array area_mm2 = columns.floats("area_mm2", 1, false);
+    if (area_mm2.data != nullptr) set_floats(contacts, area_mm2, &Contact::area_mm2);
+
+    const Array area = columns.wholes("area", true);
+    const Array patch_of = columns.wholes("patch_of", false);
+    const Array over = columns.flags("over");
+    const Array sliding = columns.flags("sliding");
+    for (std::size_t k = 0; k < contacts.size(); ++k) {
+        contacts[k].id = columns.id(k);
+        contacts[k].area = area.at<std::int32_t>(k);
+        contacts[k].over = over.data[k] != 0;
+        contacts[k].sliding = sliding.data[k] != 0;
+        if (patch_of.data == nullptr) continue;
+        contacts[k].patch = static_cast<std::size_t>(patch_of.at<std::int32_t>(k));
+        if (contacts[k].patch >= n_patches) throw Error("patch_of: no such patch");
+    }
+    return contacts;
+}
+
+inline std::vector<Event> events_of(const Value& body, std::size_t n_patches) {
+    std::vector<Event> events;
+    const Array rows = wholes_of(body, "events");
+    for (std::size_t k = 0; k + 2 < rows.n; k += 3) {
         Event event;
-        event.patch = static_cast<std::size_t>(events->at<std::int32_t>(k));
-        event.id = events->at<std::int32_t>(k + 1);
-        const std::int32_t kind = events->at<std::int32_t>(k + 2);
-        if (event.patch >= found.patches.size() || kind < 0 || kind > 4) throw Error("bad event");
+        event.patch = static_cast<std::size_t>(rows.at<std::int32_t>(k));
+        event.id = rows.at<std::int32_t>(k + 1);
+        const std::int32_t kind = rows.at<std::int32_t>(k + 2);
+        if (event.patch >= n_patches || kind < 0 || kind > 4) throw Error("bad event");
         event.kind = static_cast<EventKind>(kind);
-        found.events.push_back(event);
+        events.push_back(event);
     }
+    return events;
+}
+
+inline void convert(const Value& body, Contacts& frame) {
+    check_version(body, "contacts", 2);
+    frame = Contacts();
+    set_head(frame, body);
+    frame.done_ns = body["done_ns"].as_whole("done_ns");
+    const std::size_t n = frame.patches.size();
+    frame.trusted = flags(body, "trusted", n, true);
+    frame.contacts = contacts_of(body, n);
+    frame.events = events_of(body, n);
 }
 
 // Number of messages that a stream had if this is its end; else -1.
-inline std::int64_t end_of_stream(const unsigned char* data, std::size_t size,
-                                  std::size_t n_topic) {
-    Bytes bytes(data, size);
-    bytes.take(n_topic + 1);
-    if (bytes.left() == 0 || data[n_topic + 1] == mark) return -1;
-    const Value body = unpack(bytes);
-    if (body.at("schema").as_text() != "end") return -1;
-    return body.at("n_messages").as_number();
+inline std::int64_t end_of_stream(const Value& body) {
+    const Value& schema = body["schema"];
+    if (schema.kind != Value::Kind::text || schema.as_text("schema") != "end") return -1;
+    return body["n_messages"].as_whole("n_messages");
 }
 
 inline void check(bool is_done, const std::string& what) {
@@ -599,14 +631,14 @@ private:
     bool read(const unsigned char* data, std::size_t size, Message& message) {
         // ZeroMQ subscribes by prefix.
         if (size <= topic_.size() || data[topic_.size()] != 0) return false;
-        const std::int64_t n_sent = detail::end_of_stream(data, size, topic_.size());
+        const detail::Value body = detail::read_map(data, size, topic_.size());
+        const std::int64_t n_sent = detail::end_of_stream(body);
         if (n_sent >= 0) {
             ended_ = true;
             if (expected_ >= 0 && n_sent > expected_) n_missed_ += n_sent - expected_;
             return false;
         }
-        const detail::Schema& schema = detail::schema_of(message);
-        detail::convert(detail::read_frame(schema, data, size, topic_.size()), message);
+        detail::convert(body, message);
         if (message.run_id == run_id_ && message.seq > expected_) {
             n_missed_ += message.seq - expected_;
         }

@@ -11,16 +11,13 @@ import time
 from collections.abc import Iterator
 from pathlib import Path
 from types import FrameType
-from typing import Any, NamedTuple, Self
-
-import msgpack
+from typing import NamedTuple, Self
 
 from sparseskin.launch.run.running import RunningGraph, is_running
 from sparseskin.launch.run.termination import TERMINATION
-from sparseskin.messages import End, SkinState, decode
-from sparseskin.messages.buffers import MARK, head_of
+from sparseskin.messages import MessageError, SkinState, decode
 from sparseskin.messages.topics import split_topic
-from sparseskin.messages.wire import Payload
+from sparseskin.messages.wire import Payload, head_of
 from sparseskin.nodes.clock import SystemClock
 from sparseskin.nodes.errors import SparseskinError
 from sparseskin.nodes.network.keys import read_key_pair
@@ -346,21 +343,10 @@ def quiet_reason(graph: RunningGraph, topic: str) -> str:
 
 def _arrival(topic: bytes, payload: Payload, at_ns: int) -> Arrival | None:
     """A message with its head read, its fields unchecked; None where it has none."""
+    # Fields are not decoded here: most messages are only counted.
     try:
-        ends = False
-        # Fields are not decoded here: most messages are only counted.
-        if payload[0] == MARK:
-            run_id, seq, stamp_ns = head_of(topic, payload)
-        else:
-            body: Any = msgpack.unpackb(
-                payload, raw=False, max_map_len=64, max_ext_len=0
-            )
-            ends = body["schema"] == End.schema
-            seq = body["n_messages" if ends else "seq"]
-            run_id = str(body["run_id"])
-            stamp_ns = body["stamp_ns"]
-    except Exception:
-        # msgpack promises no narrower family for hostile bytes.
+        run_id, seq, stamp_ns, ends = head_of(payload)
+    except (MessageError, KeyError):
         return None
     if type(seq) is not int or type(stamp_ns) is not int:
         return None

@@ -66,9 +66,11 @@ def sound_messages(folder, run_id, n_frames):
     """All messages that a graph of one small patch sends in some frames, as one run."""
     forces = np.linspace(0, 1, SIDE * SIDE, dtype=np.float32).reshape(SIDE, SIDE)
     np.save(folder / "skin.npy", np.stack([forces] * n_frames))
+    # A single frame could be a row or a column of taxels, too.
+    recording = {"source": f"file:{folder / 'skin.npy'}", "axes": "frames,rows,cols"}
     bus = Bus(
         {
-            "sensor": (Sensor, Sensor.Settings(source=f"file:{folder / 'skin.npy'}")),
+            "sensor": (Sensor, Sensor.Settings(**recording)),
             "compressor": (Compressor, Compressor.Settings()),
             "reconstructor": (Reconstructor, Reconstructor.Settings()),
             "tap": (_Tap, Settings()),
