@@ -290,6 +290,7 @@ class PatchMetrics:
             self.skipped += message.skipped
 
         self._add_quiet(message)
+        self._drop_passed(message.stamp_ns)
         frame = self._pair(message.stamp_ns)
         frame.reconstruction = message
         solve_ns = message.solve_ns[0]
@@ -323,6 +324,20 @@ class PatchMetrics:
         for stamp_ns in between:
             frame = self._pending.pop(stamp_ns)
             self._compare(frame, previous, self.skin)
+
+    def _drop_passed(self, stamp_ns: int) -> None:
+        """Drop frames before one that was reconstructed: they were skipped, or lost."""
+        # Frames are reconstructed in order. Those that only lack another message wait for it.
+        passed = [
+            pending_ns
+            for pending_ns, frame in self._pending.items()
+            if pending_ns < stamp_ns and frame.reconstruction is None
+        ]
+        for pending_ns in passed:
+            del self._pending[pending_ns]
+        # Of the frames before its first one, a late monitor has read a part.
+        if self.compared or not self._late:
+            self.unpaired += len(passed)
 
     def _latency_ns(self, message: Reconstruction) -> int | None:
         """Time from acquisition to reconstruction; None where it is unknown."""

@@ -261,6 +261,19 @@ def test_frames_that_are_never_reconstructed_do_not_accumulate():
     assert metrics.summary()["frames"]["unpaired"] == 3 * MAX_PENDING
 
 
+@given(is_reconstructed=st.lists(st.booleans(), min_size=1, max_size=40))
+def test_no_frame_before_a_reconstructed_one_is_waited_for(is_reconstructed):
+    metrics = metrics_of(skin())
+    n_behind = 0
+    for seq, has_forces in enumerate(is_reconstructed):
+        for message in frame(seq, 1.0, 1.0, 1.0 if has_forces else None):
+            metrics.add(message)
+        n_behind = 0 if has_forces else n_behind + 1
+        assert len(metrics._pending) == n_behind
+    n_skipped = is_reconstructed.count(False)
+    assert metrics.summary()["frames"]["unpaired"] == n_skipped
+
+
 def test_the_table_states_of_how_many_frames_its_figures_are():
     frames = [message for seq in range(3) for message in frame(seq, 1.0, 1.0, 1.0)]
     stated = "reconstructed 3, lost 0"
