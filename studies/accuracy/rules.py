@@ -95,6 +95,9 @@ RULES: dict[str, Rule] = {
     "bound of the noise's growth": _constant(
         "the noise level grows by a factor per frame at most", noise_growth=OFF
     ),
+    "growth where all is read": _constant(
+        "the bound does not hold where nearly all rows are read", all_read=OFF
+    ),
     "bound by the least noise": _constant(
         "the noise level is bounded by the least one and the pressed part",
         pressed_noise=OFF,

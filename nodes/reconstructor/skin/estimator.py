@@ -267,7 +267,7 @@ class SkinEstimator:
             part,
             inherited2,
             known,
-            read=frame.n_read / self._rows.n,
+            read=frame.read,
             innovation2=self._innovation2,
             is_new=self._is_new,
         )

@@ -60,27 +60,31 @@ class NoiseLevel:
 
         # What repeats exactly shows no noise.
         new = 1 - frame.repeated
-        level, least = self._updated(measured, frame.n_read)
+        level, least = self._updated(measured, frame)
         self._n_seen = self._n_seen + new
         self.least = new * least + (1 - new) * self.least
         level = min(level, innovation.mean_square)
         self.variance = new * level + (1 - new) * self.variance
 
-    def _updated(self, measured: float, n_read: int) -> tuple[float, float]:
+    def _updated(self, measured: float, frame: FrameNumbers) -> tuple[float, float]:
         """Return level and least level after a noise variance was measured."""
         tuning = self._tuning
         n_seen = self._n_seen + 1
         rate = max(1 / n_seen, tuning.noise_rate)
         average = self.variance + rate * (measured - self.variance)
 
-        # What the last forces explained of their measurements was no noise.
-        level = min(average, tuning.noise_growth * max(self.variance, self._residual2))
+        # What the last forces explained of their measurements was no noise. Where nearly all rows
+        # are read, they explain any noise.
+        unbounded = frame.read**tuning.all_read * average
+        bound = tuning.noise_growth * max(self.variance, self._residual2, unbounded)
+        level = min(average, bound)
         if not self._is_known(n_seen):
             return level, average
 
         # Of an untouched taxel it is the least one so far, of which sampling errors are known.
-        if n_read >= tuning.least_read:
-            bound = (1 + tuning.significant * math.sqrt(2 / n_read)) * self.least
+        if frame.n_read >= tuning.least_read:
+            spread = math.sqrt(2 / frame.n_read)
+            bound = (1 + tuning.significant * spread) * self.least
             bound = bound * (1 + tuning.pressed_noise * self._pressed)
             level = min(level, bound)
         return level, min(tuning.bias_forgotten * self.least, level)

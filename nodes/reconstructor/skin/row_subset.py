@@ -47,6 +47,7 @@ class FrameNumbers(NamedTuple):
     """Numbers of the measurements of a frame."""
 
     n_read: int  # rows read
+    read: float  # share of them in the number of taxels
     floor: float  # least variance: the resolution of the measurements
     repeated: float  # part of the measurements that repeats the last ones of this subset, 0 to 1
     silent: (
@@ -109,6 +110,7 @@ class RowSubset:
     """
 
     def __init__(self, rows: Rows, m: int) -> None:
+        self._n_taxels = rows.n
         all_ones = np.ones(rows.n, dtype=np.float32)
         self.ones = shared(rows.forward(all_ones)[rows.read])
         self.ones_energy = float(self.ones @ self.ones)
@@ -137,7 +139,8 @@ class RowSubset:
         power = comparison.power + level.value**2 + level.last**2
         floor = max(RESOLUTION**2 * power, TINY)
         level.follow(comparison.without_largest(len(self.ones)), silent)
-        return FrameNumbers(len(self.ones), floor, repeated, silent)
+        n_read = len(self.ones)
+        return FrameNumbers(n_read, n_read / self._n_taxels, floor, repeated, silent)
 
 
 def _comparable(blocks: Indices | None, ones: Floats) -> Indices:

@@ -40,6 +40,9 @@ class SkinTuning:
     #: Rate of the noise level per frame, and its largest growth.
     noise_rate: float = 0.2
     noise_growth: float = 1.4
+    #: Power of the share of the rows read by which the noise may grow at once. Chosen: 0.004 at
+    #: N/2, where a residual shows noise; 0.2 at N/1.2, where an untouched skin had ghost forces.
+    all_read: float = 8.0
     #: Deviations of a mean square at which half of what it exceeds its expectation by counts.
     #: Derived: noise alone exceeds it by as much in one frame of 700.
     significant: float = 3.0

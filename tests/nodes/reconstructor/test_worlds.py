@@ -6,7 +6,8 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from sparseskin.nodes.compressor.phi.rotation import ROTATING
+from sparseskin import Stream
+from sparseskin.nodes.compressor.phi.rotation import FIXED, ROTATING
 from sparseskin.studies.stability import faults, loads
 from sparseskin.studies.stability.verdicts import WAYS, judge
 from sparseskin.studies.stability.worlds import Times, draw_world
@@ -39,6 +40,28 @@ def test_without_a_fault_few_frames_are_wrong_and_trusted_and_hardly_anything_st
     assert verdict.silent <= 0.1 * verdict.frames, world.describe()
     # Largest part of 900 worlds: 0.14, of a taxel of 0.23 N at N/8.
     assert verdict.residue < 0.3, world.describe()
+
+
+@given(
+    side=st.sampled_from((12, 16, 20)),
+    ratio=st.floats(1.0, 1.25),
+    rows=st.sampled_from([FIXED, ROTATING]),
+    sigma=st.floats(0.003, 0.05),
+    seed=st.integers(0, 99),
+)
+def test_noise_is_no_force_where_nearly_all_rows_are_read(
+    side, ratio, rows, sigma, seed
+):
+    normal = np.random.default_rng(seed).normal(0, sigma, (30, side, side))
+    readings = np.maximum(normal, 0).astype(np.float32)
+    stream = Stream((side, side), ratio=ratio, rows=rows, seed=seed % 5)
+    totals = []
+    for frame in readings:
+        forces = stream.reconstruct(stream.compress(frame))
+        totals.append(forces.sum())
+    # Forces of 0 or more could explain all of a noise that is clipped at 0.
+    assert np.mean(totals[-5:]) < 0.15 * readings[-5:].sum(axis=(1, 2)).mean()
+    assert stream.trusted
 
 
 @given(seed=st.integers(0, 2**32 - 1), kind=st.sampled_from(sorted(faults.KINDS)))
