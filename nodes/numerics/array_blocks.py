@@ -13,9 +13,9 @@ from dataclasses import dataclass
 from typing import IO, Any
 
 import numpy as np
-import numpy.typing as npt
 
 from .array_files import ArrayFileError
+from .arrays import AnyArray
 
 MIN_RUN_BYTES = 1 << 12
 """Bytes read in a row where the entries of an axis are scattered: a page of the file."""
@@ -36,7 +36,7 @@ class StoredArray:
     by_columns: bool = False
     can_seek: bool = False
 
-    def blocks(self, axis: int, size: int) -> Iterator[npt.NDArray[Any]]:
+    def blocks(self, axis: int, size: int) -> Iterator[AnyArray]:
         """Blocks of `size` entries of an axis, the last one shorter: (k, *other sides).
 
         Numbers that stand in another order in a stream that cannot seek are copied to a temporary
@@ -61,7 +61,7 @@ class StoredArray:
 
     def _in_a_row(
         self, stream: IO[bytes], sides: tuple[int, ...], at: int, size: int
-    ) -> Iterator[npt.NDArray[Any]]:
+    ) -> Iterator[AnyArray]:
         """Parts along an axis with no entries of others between its own."""
         for begin in range(0, sides[at], size):
             n = min(size, sides[at] - begin)
@@ -69,7 +69,7 @@ class StoredArray:
 
     def _scattered(
         self, stream: IO[bytes], sides: tuple[int, ...], at: int, size: int
-    ) -> Iterator[npt.NDArray[Any]]:
+    ) -> Iterator[AnyArray]:
         """Parts along an axis whose entries are gathered from all over the stream."""
         n_outer = math.prod(sides[:at])
         n_inner = math.prod(sides[at + 1 :])
@@ -95,13 +95,13 @@ class StoredArray:
                 for start in range(0, n, size):
                     yield whole[*outer_axes, start : start + size]
 
-    def whole(self) -> npt.NDArray[Any]:
+    def whole(self) -> AnyArray:
         """The array. Raises ArrayFileError as `blocks` does."""
         with self.open() as stream:
             array = self._read(stream, self._sides)
         return array.transpose() if self.by_columns else array
 
-    def _read(self, stream: Any, shape: tuple[int, ...]) -> npt.NDArray[Any]:
+    def _read(self, stream: Any, shape: tuple[int, ...]) -> AnyArray:
         array = np.empty(shape, self.dtype)
         buffer = memoryview(array.reshape(-1).view(np.uint8).data)
         at = 0

@@ -11,7 +11,8 @@ from contextlib import contextmanager
 from typing import IO, Any, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
+
+from .arrays import AnyArray
 
 MAX_GROWTH = 100
 """Size of the arrays of an .npz in that of the file; zeros are compressed to a thousandth."""
@@ -32,14 +33,14 @@ def is_npz(raw: bytes) -> bool:
     return raw.startswith(_ZIP)
 
 
-def read_npy(raw: bytes) -> npt.NDArray[np.generic]:
+def read_npy(raw: bytes) -> AnyArray:
     """The array of an .npy, a view of its bytes. Raises ArrayFileError if it is none of numbers."""
     head = io.BytesIO(raw[:MAX_HEAD_BYTES])
     shape, in_columns, dtype = _header(head)
     n_bytes = len(raw) - head.tell()
     _check_size(shape, dtype, n_bytes)
     # NumPy refuses a view of no bytes.
-    flat: npt.NDArray[np.generic] = np.empty(0, dtype)
+    flat: AnyArray = np.empty(0, dtype)
     if n_bytes:
         flat = np.frombuffer(raw, dtype, offset=head.tell())
     try:
@@ -72,7 +73,7 @@ def read_npz(
     file: bytes | IO[bytes],
     wanted: Callable[[list[str]], list[str]],
     most_bytes: int | None = None,
-) -> dict[str, npt.NDArray[np.generic]]:
+) -> dict[str, AnyArray]:
     """Those arrays of an .npz that `wanted` chooses of their names.
 
     Raises ArrayFileError if it is no archive, such an array cannot be read, or they are larger
@@ -134,9 +135,7 @@ def _check_size(shape: tuple[int, ...], dtype: np.dtype[Any], held: int) -> None
         raise ArrayFileError(f"its header states {text}")
 
 
-def _member(
-    archive: zipfile.ZipFile, member: zipfile.ZipInfo, name: str
-) -> npt.NDArray[np.generic]:
+def _member(archive: zipfile.ZipFile, member: zipfile.ZipInfo, name: str) -> AnyArray:
     place = f"array {ascii(name)[:40]}"
     try:
         if member.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):

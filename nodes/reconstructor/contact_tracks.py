@@ -8,13 +8,12 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 from scipy.optimize import linear_sum_assignment
 
 from sparseskin.messages import SkinState
 from sparseskin.messages.contacts import BEGIN, END, OVER, SLIDE, TOUCH
 from sparseskin.messages.skin import CONTACT_FRACTION
-from sparseskin.nodes.numerics.arrays import Doubles, Floats, Indices
+from sparseskin.nodes.numerics.arrays import Doubles, Floats, Indices, Integers
 
 from .contacts import HELD, ContactFinder, Found, Limits
 from .first_touch import UNKNOWN, Touch
@@ -108,7 +107,7 @@ class ContactTracker:
         self._n_early = 0
 
     @property
-    def regions(self) -> npt.NDArray[np.int32]:
+    def regions(self) -> Integers:
         """Number of the contact of each cell in the last frame, from 1 on, flat; 0: none."""
         return self._finder.regions
 

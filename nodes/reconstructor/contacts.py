@@ -8,7 +8,6 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
 from sparseskin.messages.errors import MessageError
 from sparseskin.messages.skin import Skin
@@ -19,6 +18,7 @@ from sparseskin.nodes.numerics.arrays import (
     Doubles,
     Floats,
     Indices,
+    Integers,
     Mask,
     real_floats,
 )
@@ -260,7 +260,7 @@ def components(
     high: float,
     variances: Floats,
     places: Doubles,
-    regions: npt.NDArray[np.int32],
+    regions: Integers,
     n_regions: int,
 ) -> Components:
     """Connected components of the taxels above `low` of which one exceeds `high`, or lies in an

@@ -6,10 +6,9 @@ import math
 from functools import cached_property
 
 import numpy as np
-import numpy.typing as npt
 
 from sparseskin.nodes.errors import PhiError
-from sparseskin.nodes.numerics.arrays import Floats
+from sparseskin.nodes.numerics.arrays import Doubles, Floats
 
 from .base import BLOCK, Phi, fingerprint_of
 
@@ -59,7 +58,7 @@ class GaussianPhi(Phi):
         largest = float(np.linalg.eigvalsh(rows @ rows.T)[-1])
         return math.ceil(largest * 1e6) / 1e6
 
-    def dense(self) -> npt.NDArray[np.float64]:
+    def dense(self) -> Doubles:
         """Return the explicit matrix, float64, shape (m, n)."""
         return self.matrix.astype(np.float64)
 

@@ -9,7 +9,7 @@ from typing import Any, TypeAlias
 import numpy as np
 import numpy.typing as npt
 
-from sparseskin.nodes.numerics.arrays import Floats, Indices
+from sparseskin.nodes.numerics.arrays import Doubles, Floats, Indices
 from sparseskin.nodes.numerics.compiled import ready
 
 MOST_AT_ONCE = 64
@@ -41,7 +41,7 @@ def block_sizes(n: int, block: int) -> list[int]:
     return sizes
 
 
-def hadamard_matrix(size: int) -> npt.NDArray[np.float64]:
+def hadamard_matrix(size: int) -> Doubles:
     """Return the Hadamard matrix of +1 and -1 (Sylvester's), float64, shape (size, size)."""
     matrix = np.ones((1, 1))
     while len(matrix) < size:

@@ -8,11 +8,10 @@ from copy import copy
 from typing import Any, ClassVar
 
 import numpy as np
-import numpy.typing as npt
 
 from sparseskin.messages.skin import Skin
 from sparseskin.nodes.errors import PhiError
-from sparseskin.nodes.numerics.arrays import Indices
+from sparseskin.nodes.numerics.arrays import AnyArray, Indices
 
 from .base import MAX_SUBSETS, STORED, Phi, fingerprint_of, make_phi
 
@@ -91,7 +90,7 @@ class RotatingPhi(Phi):
     can_rotate: ClassVar[bool] = True
     _order: Indices
 
-    def _keep(self, rows: Indices, block: int = 1, *w: npt.NDArray[np.generic]) -> None:
+    def _keep(self, rows: Indices, block: int = 1, *w: AnyArray) -> None:
         """Measure by these rows, ascending, of W, which block and arrays state."""
         rows.setflags(write=False)
         self.rows: Indices = rows

@@ -6,10 +6,9 @@ import math
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from sparseskin.nodes.errors import PhiError
-from sparseskin.nodes.numerics.arrays import Floats, Indices, Mask
+from sparseskin.nodes.numerics.arrays import Doubles, Floats, Indices, Mask
 
 from .base import BLOCK, Phi
 from .hadamard import hadamard_matrix
@@ -120,7 +119,7 @@ class RowLocalPhi(RotatingPhi):
         np.einsum("tr,tc->rc", grid, self._b, out=out.reshape(self.shape))
 
 
-def _independent(signs: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+def _independent(signs: Doubles) -> Doubles:
     """Return the first n_cols rows that are linearly independent, of (size, n_cols)."""
     n_cols = signs.shape[1]
     if len(signs) == n_cols:

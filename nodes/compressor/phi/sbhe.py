@@ -9,11 +9,10 @@ from collections.abc import Sequence
 from typing import Any, ClassVar
 
 import numpy as np
-import numpy.typing as npt
 
 from sparseskin.messages.fields import MAX_SIDE
 from sparseskin.nodes.errors import PhiError
-from sparseskin.nodes.numerics.arrays import Floats, Indices, Mask
+from sparseskin.nodes.numerics.arrays import Doubles, Floats, Indices, Mask
 
 from .base import BLOCK, MAX_SUBSETS, RANDOM, SUMS, UNREAD, BlockLayout, Phi
 from .hadamard import BlockHadamard, CompiledHadamard, block_sizes, hadamard_matrix, run
@@ -129,7 +128,7 @@ class SbhePhi(RotatingPhi):
             return super().row_subsets()
         return self._twins(split_with_sums(self.sizes, self._by_block, self.m))
 
-    def dense(self) -> npt.NDArray[np.float64]:
+    def dense(self) -> Doubles:
         """Return the explicit matrix, float64, shape (m, n), built from its definition."""
         matrix = np.zeros((self.m, self.n))
         start = 0

@@ -6,10 +6,9 @@ import functools
 from copy import copy
 from functools import cached_property
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import numpy as np
-import numpy.typing as npt
 from scipy.sparse import csr_array
 
 from sparseskin.messages.fields import MAX_ELEMENTS
@@ -20,7 +19,7 @@ from sparseskin.nodes.numerics.array_files import (
     read_npy,
     read_npz,
 )
-from sparseskin.nodes.numerics.arrays import Floats
+from sparseskin.nodes.numerics.arrays import AnyArray, Doubles, Floats
 
 from .base import BLOCK, MAX_SUBSETS, Phi, fingerprint_of
 
@@ -93,12 +92,12 @@ class StoredPhi(Phi):
             x /= np.float32(largest)
         return min(MARGIN * largest, of_row * of_column)
 
-    def dense(self) -> npt.NDArray[np.float64]:
+    def dense(self) -> Doubles:
         """Return the explicit matrix, float64, shape (m, n)."""
         matrix = self._matrix.astype(np.float64)
         if isinstance(matrix, np.ndarray):
             return matrix
-        full: npt.NDArray[np.float64] = matrix.toarray()
+        full: Doubles = matrix.toarray()
         return full
 
     def _forward(self, x: Floats, out: Floats) -> None:
@@ -164,7 +163,7 @@ def _wanted(names: list[str]) -> list[str]:
     return [name for name in names if name in _NAMES]
 
 
-def _checked_stack(stack: npt.NDArray[Any]) -> tuple[csr_array, ...]:
+def _checked_stack(stack: AnyArray) -> tuple[csr_array, ...]:
     if stack.ndim != 3 or stack.dtype.kind not in "iufb":
         expected = "numbers of 3, (k, m, n), or a file of scipy.sparse.save_npz"
         fault = f"one array, {stack.dtype} of {stack.ndim} dimensions"
@@ -183,7 +182,7 @@ def _checked_stack(stack: npt.NDArray[Any]) -> tuple[csr_array, ...]:
     return tuple(matrices)
 
 
-def _checked(arrays: dict[str, npt.NDArray[Any]]) -> csr_array:
+def _checked(arrays: dict[str, AnyArray]) -> csr_array:
     for name in _NAMES:
         if name not in arrays:
             raise PhiError(
@@ -217,7 +216,7 @@ def _checked(arrays: dict[str, npt.NDArray[Any]]) -> csr_array:
     return _finite(matrix)
 
 
-def _in_float32(numbers: npt.NDArray[Any]) -> Floats:
+def _in_float32(numbers: AnyArray) -> Floats:
     # What overflows becomes infinite, and is refused by `_finite`.
     with np.errstate(all="ignore"):
         return numbers.astype(np.float32)

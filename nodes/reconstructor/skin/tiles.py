@@ -4,12 +4,10 @@ from __future__ import annotations
 
 import math
 from functools import lru_cache
-from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
-from sparseskin.nodes.numerics.arrays import Floats, Indices, Mask
+from sparseskin.nodes.numerics.arrays import AnyArray, Floats, Indices, Mask
 
 TILE = 8
 """Side of a tile, in taxels."""
@@ -86,7 +84,7 @@ class Tiles:
         strictness = math.sqrt(math.log(n_windows) / math.log(REFERENCE_WINDOWS))
         self.strictness = min(max(strictness, 1e-6), 1.0)
 
-    def cut(self, canvas: npt.NDArray[Any], number: int) -> npt.NDArray[Any]:
+    def cut(self, canvas: AnyArray, number: int) -> AnyArray:
         """Windows of a canvas at a shift, by its number: (rows, columns) to (t, 144)."""
         row, col = (MARGIN - WINDOW_MARGIN - shift for shift in SHIFTS[number])
         shifted = canvas[row:, col:]
@@ -97,7 +95,7 @@ class Tiles:
         """Windows of a vector of taxels, (n + 1,), at a shift: (t, 144)."""
         return self.cut(taxels[self.canvas], number)
 
-    def taxels(self, tiles: npt.NDArray[Any], number: int) -> npt.NDArray[Any]:
+    def taxels(self, tiles: AnyArray, number: int) -> AnyArray:
         """The vector of taxels, (n,), of tiles at a shift, (t, 64)."""
         n_rows, n_cols = self.shape
         row, col = SHIFTS[number]
