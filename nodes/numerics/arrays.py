@@ -123,5 +123,5 @@ def mean_of_near(values: Floats, is_known: Mask) -> Floats:
     known_values = np.where(is_known, values, np.float32(0))
     sums = of_nine(known_values, np.add)
     n_known = of_nine(is_known.astype(np.float32), np.add)
-    means: Floats = sums / np.maximum(n_known, 1)
+    means: Floats = np.divide(sums, np.maximum(n_known, 1))
     return means

@@ -42,8 +42,9 @@ class GaussianPhi(Phi):
     def __init__(self, n: int, m: int, seed: int, block: int = BLOCK) -> None:
         super().__init__(n, m, seed, block)
         # In float64: a float32 generator would draw other numbers.
-        normal = np.random.default_rng(seed).standard_normal((m, n))
-        self.matrix: Floats = (normal / math.sqrt(n)).astype(np.float32)
+        rng = np.random.default_rng(seed)
+        matrix = rng.standard_normal((m, n)) / math.sqrt(n)
+        self.matrix: Floats = matrix.astype(np.float32)
         self.matrix.setflags(write=False)
         self.fingerprint = fingerprint_of(self.kind, n, m, 1, self.matrix)
 
@@ -54,8 +55,9 @@ class GaussianPhi(Phi):
         The last bits of a linear algebra library then do not reach the solver's step size.
         """
         rows = self.dense()
-        # Eigenvalues come in ascending order.
-        largest = float(np.linalg.eigvalsh(rows @ rows.T)[-1])
+        # In ascending order.
+        eigenvalues = np.linalg.eigvalsh(rows @ rows.T)
+        largest = float(eigenvalues[-1])
         return math.ceil(largest * 1e6) / 1e6
 
     def dense(self) -> Doubles:

@@ -80,17 +80,19 @@ class StoredPhi(Phi):
         """
         # The product of two norms, in float64: rounding must not make it too small.
         sizes = abs(self._matrix)
-        of_column = float(sizes.sum(axis=0, dtype=float).max())
-        of_row = float(sizes.sum(axis=1, dtype=float).max())
+        of_columns = sizes.sum(axis=0, dtype=float)
+        of_rows = sizes.sum(axis=1, dtype=float)
+        bound = float(of_rows.max()) * float(of_columns.max())
 
         # A random vector has a part along the largest eigenvector, which each step enlarges most.
-        x = np.random.default_rng(0).standard_normal(self.n, dtype=np.float32)
+        rng = np.random.default_rng(0)
+        x = rng.standard_normal(self.n, dtype=np.float32)
         largest = 0.0
         for _ in range(N_POWER_STEPS):
             x = self._transposed @ (self._matrix @ x)
             largest = float(np.linalg.norm(x))
             x /= np.float32(largest)
-        return min(MARGIN * largest, of_row * of_column)
+        return min(MARGIN * largest, bound)
 
     def dense(self) -> Doubles:
         """Return the explicit matrix, float64, shape (m, n)."""
@@ -135,7 +137,8 @@ def load_matrices(path: str) -> tuple[csr_array, ...]:
         if status.st_size > MAX_FILE_BYTES:
             raise PhiError(f"{status.st_size} bytes; at most {MAX_FILE_BYTES}")
         # A file that was written anew is read anew.
-        return _load(path, (status.st_mtime_ns, status.st_size, status.st_ino))
+        state = status.st_mtime_ns, status.st_size, status.st_ino
+        return _load(path, state)
     except (ArrayFileError, PhiError) as error:
         raise PhiError(f"{path}: {error}") from error
     except (OSError, ValueError) as error:
@@ -150,7 +153,8 @@ def _load(path: str, _of: tuple[int, int, int]) -> tuple[csr_array, ...]:
     if not is_npz(raw):
         return _checked_stack(read_npy(raw))
     arrays = read_npz(raw, _wanted, MAX_ARRAY_BYTES)
-    if len(arrays) == 1 and not arrays.keys() & set(_NAMES):
+    of_scipy = arrays.keys() & set(_NAMES)
+    if len(arrays) == 1 and not of_scipy:
         (stack,) = arrays.values()
         return _checked_stack(stack)
     return (_checked(arrays),)
@@ -196,7 +200,8 @@ def _checked(arrays: dict[str, AnyArray]) -> csr_array:
 
     data = arrays["data"]
     for name in ("indices", "indptr", "shape"):
-        if arrays[name].ndim != 1 or arrays[name].dtype.kind not in "iu":
+        numbers = arrays[name]
+        if numbers.ndim != 1 or numbers.dtype.kind not in "iu":
             raise PhiError(f"{name}: expected a list of whole numbers")
     if data.ndim != 1 or data.dtype.kind not in "iufb":
         raise PhiError("data: expected a list of numbers")
@@ -227,12 +232,16 @@ def _finite(matrix: csr_array) -> csr_array:
     # Not `>`: NaN is no entry, either.
     if not (sizes.data <= MAX_ENTRY).all():
         raise PhiError(f"data: expected finite numbers of at most {MAX_ENTRY:g}")
-    if not (sizes.sum(axis=1) > 0).all():
+    of_rows = sizes.sum(axis=1)
+    if not of_rows.all():
         raise PhiError("data: a row holds zeros alone")
     return matrix
 
 
 def stored_class(path: str) -> type[StoredPhi]:
     """Return the class of a kind "file:PATH", whose file is checked; Raises as the class."""
-    base = StackedPhi if len(load_matrices(path)) > 1 else StoredPhi
-    return type(base.__name__, (base,), {"kind": f"file:{path}", "path": path})
+    base = StoredPhi
+    if len(load_matrices(path)) > 1:
+        base = StackedPhi
+    attributes = {"kind": f"file:{path}", "path": path}
+    return type(base.__name__, (base,), attributes)
