@@ -45,7 +45,8 @@ def read_npy(raw: bytes) -> AnyArray:
         flat = np.frombuffer(raw, dtype, offset=head.tell())
     try:
         return flat.reshape(shape, order="F" if in_columns else "C")
-    except ValueError as error:  # no number, in sides that no index counts
+    # No number, in sides that no index counts.
+    except ValueError as error:
         raise ArrayFileError(f"its header states {_shape(shape)}") from error
 
 
@@ -98,7 +99,10 @@ def opened_npz(
     """An archive and its arrays by name; ArrayFileError for all that fails while it is open."""
     try:
         with zipfile.ZipFile(file) as archive:
-            members = {m.filename.removesuffix(".npy"): m for m in archive.infolist()}
+            members = {}
+            for member in archive.infolist():
+                name = member.filename.removesuffix(".npy")
+                members[name] = member
             yield archive, members
     except ArrayFileError:
         raise
@@ -130,7 +134,9 @@ def _check_size(shape: tuple[int, ...], dtype: np.dtype[Any], held: int) -> None
     if dtype.hasobject:
         raise ArrayFileError("it holds Python objects; allowed are arrays of numbers")
     stated = math.prod(shape) * dtype.itemsize
-    if min(shape, default=0) < 0 or stated != held or not dtype.itemsize:
+    is_negative = min(shape, default=0) < 0
+    # Numbers of no bytes would be as many as the header states.
+    if is_negative or stated != held or not dtype.itemsize:
         text = f"{_shape(shape)} of {str(dtype)[:40]}, but {held} bytes follow"
         raise ArrayFileError(f"its header states {text}")
 
@@ -149,5 +155,10 @@ def _member(archive: zipfile.ZipFile, member: zipfile.ZipInfo, name: str) -> Any
 
 def _shape(shape: tuple[int, ...]) -> str:
     # A header may state any number of sides, of any size: the text is bounded.
-    sides = [str(side) if side < 1 << 40 else "2**40.." for side in shape[:8]]
+    sides = []
+    for side in shape[:8]:
+        text = "2**40.."
+        if side < 1 << 40:
+            text = str(side)
+        sides.append(text)
     return " x ".join(sides) or "one"

@@ -89,7 +89,8 @@ def shared(table: _Table) -> _Table:
     """The one array that stands for all equal ones, while it is used: the tables of patches that
     are alike take memory, and cache, once. It must not be modified.
     """
-    key = table.dtype, table.shape, hashlib.sha256(table.tobytes()).digest()
+    digest = hashlib.sha256(table.tobytes()).digest()
+    key = table.dtype, table.shape, digest
     first_alike: _Table = _TABLES.setdefault(key, table)
     return first_alike
 

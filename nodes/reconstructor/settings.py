@@ -243,19 +243,24 @@ class ReconstructorSettings(PatchesSettings):
                     f"{key}: solver {name} has none; allowed: to leave it out, "
                     "or a solver that has it (preset paper)"
                 )
-        options = [
-            key
-            for key, p in parameters.items()
-            if key not in _NO_OPTIONS and p.kind is not p.VAR_KEYWORD
-        ]
+        names = []
+        for key, parameter in parameters.items():
+            if key not in _NO_OPTIONS and parameter.kind is not parameter.VAR_KEYWORD:
+                names.append(key)
+        self._check_options(name, names, takes_any)
+
+    def _check_options(self, name: str, options: list[str], takes_any: bool) -> None:
+        """Raise SettingsError for an option that a solver, by name, does not take."""
         for key, value in (self.options or {}).items():
             if key in ("iterations", "lambda_n"):
                 raise SettingsError(
                     f"options.{key}: is a setting of its own; allowed: {key}"
                 )
-            if key in _NO_OPTIONS or (key not in options and not takes_any):
-                none = "; it has none beside the settings iterations and lambda_n"
-                allowed = nearest_of(key, options) if options else none
+            is_unknown = key not in options and not takes_any
+            if key in _NO_OPTIONS or is_unknown:
+                allowed = "; it has none beside the settings iterations and lambda_n"
+                if options:
+                    allowed = nearest_of(key, options)
                 raise SettingsError(
                     f"options.{key}: is no option of solver {name}{allowed}"
                 )
