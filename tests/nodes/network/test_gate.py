@@ -97,10 +97,10 @@ def half_open(station):
     return stranger
 
 
-def listen(context, station, keys, server_key, now_ns=lambda: 0):
+def listen(context, station, keys, server_key, now_ns=lambda: 0, *, name="reader"):
     lines = []
     security = keys and {"key_pair": vars(keys), "allowed": {}, "names": {}}
-    config = {"name": "reader", "endpoint": "inproc://reader", "security": security}
+    config = {"name": name, "endpoint": f"inproc://{name}", "security": security}
     node = Network(
         context, {**config, "distant_inputs": {TAXELS: "edge"}}, now_ns, lines.append
     )
@@ -151,6 +151,17 @@ def test_who_is_not_let_in_gets_nothing_and_is_named(
     # who shows no key may be gone before its address can be asked for
     if "list" in words:
         assert "turned away 127.0.0.1" in line
+
+
+def test_a_refusal_has_one_reason_in_the_log(station, context):
+    # Before the second refusal the end of the first connection is read, which is no other one.
+    for name, keys, words in (
+        ("first", UNLISTED, "its key is that of mallory"),
+        ("second", key_pair(), "is not known here"),
+    ):
+        listen(context, station, keys, SERVER.public, name=name)
+        station.until(lambda words=words: station.said(words), words)
+    assert all("not on the list" in line for line in station.lines)
 
 
 def test_who_sends_garbage_is_named_and_harms_nobody(station, context):

@@ -99,6 +99,40 @@ def test_other_hosts_are_asked_for_the_time(context, monkeypatch, n_times, perio
     assert asked == [0, period_ns, 2 * period_ns]
 
 
+def test_without_other_hosts_all_topics_have_the_clock_of_this_one(context):
+    node, _ = network(context)
+    assert node.clock_of(HERE) == SAME_CLOCK
+
+
+def test_a_path_on_which_a_writer_listens_is_not_taken_from_it(context, tmp_path):
+    endpoint = f"ipc://{tmp_path}/sensor"
+    writer = Writer(context, endpoint, "sensor")
+    with pytest.raises(zmq.ZMQError) as raised:
+        Writer(context, endpoint, "other")
+    assert raised.value.errno == zmq.EADDRINUSE
+    Reader(context, "reader", [endpoint], [LEFT])
+    wait_for_reader(writer, "reader")
+
+
+def test_a_question_whose_time_is_no_number_is_not_answered(context):
+    writer = Writer(context, "inproc://writer", "sensor", now_ns=time.monotonic_ns)
+    reader = Reader(context, "reader", [writer.endpoint], [LEFT])
+    wait_for_reader(writer, "reader")
+    stranger = context.socket(zmq.XSUB)
+    stranger.connect(writer.endpoint)
+    # The last one is answered: those before it were read, too.
+    for t1 in (b"x", b"-1", b"", b"9" * 50, b"7"):
+        stranger.send(b"\x01@reader!" + t1)
+
+    def has_note():
+        writer.serve_subscriptions()
+        return bool(reader.socket.poll(0))
+
+    wait_until(has_note, "an answer")
+    _, note = reader.receive()
+    assert bytes(note).startswith(b"sensor!7:")
+
+
 def test_a_writer_reports_the_time_to_those_alone_who_are_there(context):
     writer = Writer(context, "inproc://writer", "sensor", now_ns=time.monotonic_ns)
     stranger = context.socket(zmq.XSUB)

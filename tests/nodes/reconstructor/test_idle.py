@@ -11,6 +11,7 @@ from stress.test_contacts import SKIN, Watched, missed
 from sparseskin.messages import Measurements, PhiState, Reconstruction, Taxels, Truth
 from sparseskin.nodes.clock import ManualClock
 from sparseskin.nodes.compressor.node import Compressor
+from sparseskin.nodes.compressor.phi.base import make_phi
 from sparseskin.nodes.node import Context
 from sparseskin.nodes.reconstructor.faults.repeats import FRAMES
 from sparseskin.nodes.reconstructor.idle import FALSE_ALARMS, REFRESH
