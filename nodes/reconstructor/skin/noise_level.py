@@ -74,16 +74,20 @@ class NoiseLevel:
         average = self.variance + rate * (measured - self.variance)
 
         # What the last forces explained of their measurements was no noise.
-        level = min(average, tuning.noise_growth * max(self.variance, self._residual2))
+        explained = max(self.variance, self._residual2)
+        level = min(average, tuning.noise_growth * explained)
         if not self._is_known(n_seen):
             return level, average
 
         # Of an untouched taxel it is the least one so far, of which sampling errors are known.
         if n_read >= tuning.least_read:
-            bound = (1 + tuning.significant * math.sqrt(2 / n_read)) * self.least
+            sampling_error = tuning.significant * math.sqrt(2 / n_read)
+            bound = (1 + sampling_error) * self.least
+            # Pressed taxels may have more of it.
             bound = bound * (1 + tuning.pressed_noise * self._pressed)
             level = min(level, bound)
-        return level, min(tuning.bias_forgotten * self.least, level)
+        least = min(tuning.bias_forgotten * self.least, level)
+        return level, least
 
     def keep_above(self, floor: float, stated_sd: float) -> None:
         """Bound the level by the resolution of a frame, and by the noise that the skin states."""
