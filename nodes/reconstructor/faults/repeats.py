@@ -93,9 +93,7 @@ class RepeatWatch:
         if state is not None:
             earlier.append(state.y)
         is_repeated = any(_are_equal(last_y, y) for last_y in earlier)
-        self._n_frozen += 1
-        if not is_repeated:
-            self._n_frozen = 0
+        self._n_frozen = self._n_frozen + 1 if is_repeated else 0
         self._last_y = y
 
         # Without noise, equal measurements may be right.
