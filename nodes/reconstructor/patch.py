@@ -25,7 +25,6 @@ from sparseskin.nodes.reconstructor.solvers.base import (
     estimated_error,
     make_rotating_solver,
     measured,
-    solver_class,
     solver_fact,
 )
 from sparseskin.nodes.sensor.noise import NoiseModel
@@ -109,7 +108,7 @@ class Patch:
         """
         phi = subsets[0]
         # Of rows that rotate, a solver may be one of several, without what its class states.
-        cls = solver_class(settings.chosen()["solver"])
+        cls = settings.solver_class
         solver, basis, options = self._make_solver(settings, subsets, state.skin)
         frame_ms = 0.0
         most_steps = sys.maxsize
@@ -170,7 +169,7 @@ class Patch:
 
         if settings.chosen() == PRESETS["paper"] and not has_rows_of_paper(subsets):
             warnings.append(OTHER_ROWS)
-        warning_of_samples = solver_fact(solver_class(name), "warning_of_samples")
+        warning_of_samples = solver_fact(settings.solver_class, "warning_of_samples")
         if phi_fact(phi, "samples") and warning_of_samples:
             warnings.append(warning_of_samples)
         # A Phi of the user's own, or of a file, may not be what it states.
@@ -274,7 +273,8 @@ class Patch:
         self._y = y if self._believed is None else self._believed
         if self._touch is not None:
             is_whole = self._missing is None and not self.sensed
-            self._touch.read(phi, self._believed if is_whole else None, step_of(y))
+            whole_y = self._believed if is_whole else None
+            self._touch.read(phi, whole_y, step_of(y))
 
     def solve(self) -> None:
         """Reconstruct the frame within its budget. Raises SolverError if the solver cannot."""
@@ -296,7 +296,9 @@ class Patch:
         for _ in range(n_steps):
             self.solver.step()
         self._last = self.solver.finish()
-        self._n_steps = n_steps if self._tiles is None else self._tiles.n_done
+        self._n_steps = n_steps
+        if self._tiles is not None:
+            self._n_steps = self._tiles.n_done
         self._error, _ = estimated_error(self.solver)
         self._common_error = self.solver.common_error
         self._solve_ns = time.perf_counter_ns() - begin_ns
@@ -314,7 +316,8 @@ class Patch:
         forces = verdict.forces if self._last is None else self._last
         fitted = measured(self.solver, forces, self._phi)
         residuals = np.subtract(self._y, fitted, dtype=np.float64)
-        residual = math.sqrt(float(np.dot(residuals, residuals)) / residuals.size)
+        energy = float(np.dot(residuals, residuals))
+        residual = math.sqrt(energy / residuals.size)
 
         sd = None
         if self._uncertainty is not None:
@@ -390,7 +393,8 @@ def _budget_of_rate(solver: Solver, skin: SkinState, n_patches: int) -> float | 
 def _usual_steps(solver: Solver, most_steps: int) -> tuple[int, str]:
     """Number of steps that a budget allows in most frames; and which these are, in words."""
     if isinstance(solver, CountsTiles) and solver.times[0]:
-        _, n_steps = solver.steps_for(int(USUAL_PART * solver.most_tiles))
+        n_tiles = int(USUAL_PART * solver.most_tiles)
+        _, n_steps = solver.steps_for(n_tiles)
         return n_steps, f" where {USUAL_PART:.0%} of the skin is pressed"
     return most_steps, ""
 
