@@ -161,8 +161,11 @@ def test_a_refusal_has_one_reason_in_the_log(station):
     ):
         of_process = make_context()
         try:
-            listen(of_process, station, keys, SERVER.public)
+            reader, node, _ = listen(of_process, station, keys, SERVER.public)
             station.until(lambda words=words: station.said(words), words)
+            assert reader.receive() is None
+            node.serve()
+            assert node.heard == {"writer": False}
         finally:
             of_process.destroy(linger=0)
     assert all("not on the list" in line for line in station.lines)

@@ -110,8 +110,9 @@ def test_a_path_on_which_a_writer_listens_is_not_taken_from_it(context, tmp_path
     with pytest.raises(zmq.ZMQError) as raised:
         Writer(context, endpoint, "other")
     assert raised.value.errno == zmq.EADDRINUSE
-    Reader(context, "reader", [endpoint], [LEFT])
+    reader = Reader(context, "reader", [endpoint], [LEFT])
     wait_for_reader(writer, "reader")
+    assert reader.receive() is None
 
 
 def test_a_question_whose_time_is_no_number_is_not_answered(context):
