@@ -161,11 +161,14 @@ def test_a_refusal_has_one_reason_in_the_log(station):
     ):
         of_process = make_context()
         try:
-            reader, node, _ = listen(of_process, station, keys, SERVER.public)
-            station.until(lambda words=words: station.said(words), words)
-            assert reader.receive() is None
-            node.serve()
-            assert node.heard == {"writer": False}
+            _, node, lines = listen(of_process, station, keys, SERVER.public)
+
+            # The reader leaves once it knows: a handshake that is broken off has another reason.
+            def is_refused(node=node, lines=lines, words=words):
+                node.serve()
+                return bool(lines) and station.said(words)
+
+            station.until(is_refused, words)
         finally:
             of_process.destroy(linger=0)
     assert all("not on the list" in line for line in station.lines)
