@@ -7,6 +7,7 @@ import pytest
 from played import NAMES, Stage
 
 from sparseskin.launch.run import launcher as launchers
+from sparseskin.launch.run.controls import LiveRecording
 from sparseskin.launch.run.fleet import EXIT_FAILED, EXIT_USAGE, GRACE_S, START_S, Fleet
 from sparseskin.launch.run.launcher import Launcher
 from sparseskin.launch.run.running import RunningGraph
@@ -396,6 +397,19 @@ def test_the_state_of_a_graph_leaves_out_recorders_that_have_ended(stage):
         node["name"] for node in graph_state(played.launch, played.fleet, None)["nodes"]
     ]
     assert names == NAMES[1:]
+
+
+def test_a_failure_of_another_node_ends_no_recording(stage):
+    played = stage()
+    played.run()
+    recording = LiveRecording(played.launch, played.fleet)
+    answers = []
+    recording.command("record", True, lambda *answer: answers.append(answer))
+    recording.hear(played.node("sensor"), "failed")
+    assert recording.out is not None
+    assert answers == []
+    recording.hear(played.node("live_recorder_1"), "ready")
+    assert [done for done, _ in answers] == [True]
 
 
 def test_a_description_has_the_settings_of_the_node_that_is_asked_for(stage):
