@@ -47,8 +47,8 @@ class Settings:
     def __post_init__(self) -> None:
         hints = typing.get_type_hints(type(self))
         for field in dataclasses.fields(self):
-            given = getattr(self, field.name)
-            value = _checked(field.name, given, hints[field.name])
+            raw = getattr(self, field.name)
+            value = _checked(field.name, raw, hints[field.name])
             _check_range(field.name, value, field.metadata["range"])
             # The dataclass is frozen.
             object.__setattr__(self, field.name, value)

@@ -1750,8 +1750,7 @@ def skin_settle(
     residual2 = 0.0
     along_ones = 0.0
     for i in range(read.size):
-        certain = _1 - doubt[i]
-        residual[i] = certain * (values[i] - x_rows[read[i]])
+        residual[i] = (_1 - doubt[i]) * (values[i] - x_rows[read[i]])
         residual2 += residual[i] * residual[i]
         along_ones += ones[i] * residual[i]
 
@@ -1764,8 +1763,7 @@ def skin_settle(
     read2 = 0.0
     for i in range(read.size):
         x_read = x_rows[read[i]]
-        certain = _1 - doubt[i]
-        left_out = residual[i] + rest * (certain * own[i])
+        left_out = residual[i] + rest * ((_1 - doubt[i]) * own[i])
         along_x += x_read * left_out
         read2 += x_read * x_read
         left_out -= part * innovation[i]

@@ -183,8 +183,13 @@ class ContactFinder:
             if is_mean:
                 scale *= self._n_taxels / n_above
             scale *= error**2
-        # Variances become standard deviations, of which an error that all forces share adds to
-        # that of the total; then normals become unit vectors.
+        self._complete(sums, scale, common)
+        return Found(sums, overlap)
+
+    def _complete(self, sums: Doubles, scale: float, common: float) -> None:
+        """Turn variances, times a scale, into standard deviations, of which an error that all
+        forces share adds to that of the total; and normals into unit vectors.
+        """
         variance_row = 3 + len(self._places)
         deviations = sums[variance_row:]
         np.sqrt(scale * deviations, out=deviations)
@@ -194,7 +199,6 @@ class ContactFinder:
             lengths = np.linalg.norm(normals, axis=0)
             # Those of a surface that turns within a contact may cancel.
             normals /= np.maximum(lengths, 1e-12)
-        return Found(sums, overlap)
 
     def expect(self) -> None:
         """Let contacts of the next frame begin at once: their measurements show a touch."""

@@ -86,8 +86,7 @@ class NoiseLevel:
             # Pressed taxels may have more of it.
             bound = bound * (1 + tuning.pressed_noise * self._pressed)
             level = min(level, bound)
-        least = min(tuning.bias_forgotten * self.least, level)
-        return level, least
+        return level, min(tuning.bias_forgotten * self.least, level)
 
     def keep_above(self, floor: float, stated_sd: float) -> None:
         """Bound the level by the resolution of a frame, and by the noise that the skin states."""

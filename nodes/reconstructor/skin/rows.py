@@ -236,8 +236,8 @@ def _whitening(phi: Phi) -> Floats | None:
         return None
     # In ascending order.
     values, vectors = np.linalg.eigh(gram)
-    least = max(LEAST_PART * values[-1], TINY)
-    is_measured = values > least
+    bound = max(LEAST_PART * values[-1], TINY)
+    is_measured = values > bound
     columns = vectors[:, is_measured] / np.sqrt(values[is_measured])
     return np.ascontiguousarray(columns.T, dtype=np.float32)
 
