@@ -10,6 +10,7 @@ from processes import wait_for_reader
 
 from sparseskin.messages import PhiState, Taxels, TruncatedError, decode
 from sparseskin.nodes.clock import SAME_CLOCK
+from sparseskin.nodes.network import sockets
 from sparseskin.nodes.network.network import (
     ASK_NS,
     END_RECEIVED_NS,
@@ -348,6 +349,21 @@ def test_a_topic_that_begins_like_another_is_not_taken_for_it(pair):
     with pytest.raises(TruncatedError):
         decode(*wrong[0])
     assert decode(*last).seq == 3
+
+
+def test_a_topic_beyond_the_counted_subscriptions_is_sent(context, monkeypatch):
+    monkeypatch.setattr(sockets, "MAX_SUBSCRIPTIONS", 2)
+    writer = Writer(context, "inproc://writer", "sensor")
+    reader = Reader(context, "reader", [writer.endpoint], [LEFT, RIGHT, HERE])
+    wait_for_reader(writer, "reader")
+    for patch in ("left", "right", "here"):
+        forces = np.ones((2, 2), np.float32)
+        writer.send(Taxels(stamp_ns=0, patch=patch, forces=forces))
+    topics = []
+    for _ in range(3):
+        wait_until(lambda: bool(reader.socket.poll(0)), "a message")
+        topics.append(decode(*reader.receive()).topic)
+    assert topics == [LEFT, RIGHT, HERE]
 
 
 def test_an_answer_to_another_writer_is_none_to_this_one(context):
