@@ -101,13 +101,13 @@ class Message:
 
 
 def _same(a: Any, b: Any) -> bool:
-    if isinstance(a, np.ndarray) and isinstance(b, np.ndarray):
-        if a.dtype != b.dtype or a.shape != b.shape:
-            return False
+    if not (isinstance(a, np.ndarray) and isinstance(b, np.ndarray)):
+        return bool(a == b)
+    if a.dtype != b.dtype or a.shape != b.shape:
+        return False
 
-        # By bytes: NaN equals itself, 0 and -0 differ.
-        return a.tobytes() == b.tobytes()
-    return bool(a == b)
+    # By bytes: NaN equals itself, 0 and -0 differ.
+    return a.tobytes() == b.tobytes()
 
 
 def once_a_class(
@@ -120,19 +120,27 @@ def once_a_class(
 @once_a_class
 def wire_fields(cls: type[Message]) -> dict[str, FieldKind]:
     """Name and kind of each field of a message class, in order of declaration."""
-    fields = dataclasses.fields(cls)
-    return {field.name: cast(FieldKind, field.metadata["wire"]) for field in fields}
+    kinds: dict[str, FieldKind] = {}
+    for field in dataclasses.fields(cls):
+        kinds[field.name] = field.metadata["wire"]
+    return kinds
 
 
 @once_a_class
 def array_fields(cls: type[Message]) -> dict[str, Array]:
     """Name and kind of the fields of a message class that are arrays."""
-    fields = wire_fields(cls).items()
-    return {name: kind for name, kind in fields if isinstance(kind, Array)}
+    kinds: dict[str, Array] = {}
+    for name, kind in wire_fields(cls).items():
+        if isinstance(kind, Array):
+            kinds[name] = kind
+    return kinds
 
 
 @once_a_class
 def omitted_fields(cls: type[Message]) -> dict[str, Any]:
     """Name and default of the fields that are sent only where they differ from the default."""
-    fields = dataclasses.fields(cls)
-    return {field.name: field.default for field in fields if field.metadata["omitted"]}
+    defaults: dict[str, Any] = {}
+    for field in dataclasses.fields(cls):
+        if field.metadata["omitted"]:
+            defaults[field.name] = field.default
+    return defaults

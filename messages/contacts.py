@@ -5,18 +5,15 @@ from dataclasses import dataclass
 from typing import Any, ClassVar, Self
 
 import numpy as np
-import numpy.typing as npt
 
+from .arrays import AnyArray, Floats, Integers, Mask
 from .errors import ShapeError
 from .fields import Array, Integer, omitted, wire
-from .frames import TRUSTED, Floats, Frames
+from .frames import TRUSTED, Frames
 
 BEGIN, END, OVER, SLIDE, TOUCH = range(5)
 EVENTS = ("begin", "end", "over", "slide", "touch")
 """Names of the events, by number."""
-
-Numbers = npt.NDArray[np.int32]
-Flags = npt.NDArray[np.bool_]
 
 
 def _column(dtype: str, ndim: int = 1, optional: bool = False) -> Any:
@@ -34,7 +31,7 @@ class Contacts(Frames):
     schema: ClassVar[str] = "contacts"
     times: ClassVar[tuple[str, ...]] = ("stamp_ns", "done_ns")
 
-    id: Numbers = _column("<i4")
+    id: Integers = _column("<i4")
     """Number of a contact, which it keeps from frame to frame, from 1 on."""
     total: Floats = _column("<f4")
     total_sd: Floats = _column("<f4")
@@ -43,13 +40,13 @@ class Contacts(Frames):
     centre: Floats = _column("<f4", 2)
     centre_sd: Floats = _column("<f4", 2)
     """Row and column of the centre of pressure, from the middle of taxel (0, 0), and deviations."""
-    area: Numbers = _column("<i4")
+    area: Integers = _column("<i4")
     """Number of taxels."""
     velocity: Floats = _column("<f4", 2)
     """Of the centre, rows and columns a second."""
     age_s: Floats = _column("<f4")
-    over: Flags = _column("|b1")
-    sliding: Flags = _column("|b1")
+    over: Mask = _column("|b1")
+    sliding: Mask = _column("|b1")
     """True from the event of that name until force or speed are half of what it was reported at."""
     done_ns: int = wire(Integer())
     """Time of the estimate on the graph's clock, nanoseconds."""
@@ -65,9 +62,9 @@ class Contacts(Frames):
     """Number of taxels times the square of the pitch."""
     normal: Floats | None = _column("<f4", 2, optional=True)
     """Outward unit normal, (n, 3), of a skin of points."""
-    patch_of: Numbers | None = _column("<i4", 1, optional=True)
+    patch_of: Integers | None = _column("<i4", 1, optional=True)
     """Row in `patches` of each contact's patch; None: all are of the first."""
-    events: Numbers | None = _column("<i4", 2, optional=True)
+    events: Integers | None = _column("<i4", 2, optional=True)
     """What changed in this frame, (n_events, 3): row of the patch in `patches`, id, and number in
     `EVENTS`: begin; end; over (the total exceeds a stated force); slide; touch (measurements show
     that an untouched patch is touched: of no contact, id 0). None: nothing."""
@@ -94,7 +91,8 @@ class Contacts(Frames):
             raise ShapeError(f"events: shape {self.events.shape}, expected rows of 3")
         patches = self.events[:, 0]
         kinds = self.events[:, 2]
-        if not (_within(patches, n_patches) and _within(kinds, len(EVENTS))):
+        are_known = _within(patches, n_patches) and _within(kinds, len(EVENTS))
+        if not are_known:
             raise ShapeError("events: a patch or event that is not known")
 
     def _single(self, k: int, **changes: Any) -> Self:
@@ -103,9 +101,10 @@ class Contacts(Frames):
         if patch_of is None:
             patch_of = np.zeros(self.id.size, np.int32)
         is_of_patch = patch_of == k
-        columns = {name: self.__dict__[name] for name in _SIDES if name != "patch_of"}
-        for name, column in columns.items():
-            if column is not None:
+        columns = {}
+        for name in _SIDES:
+            column = self.__dict__[name]
+            if column is not None and name != "patch_of":
                 columns[name] = column[is_of_patch]
 
         events = self.events
@@ -133,12 +132,12 @@ class Contacts(Frames):
             return []
         return [(number, EVENTS[event]) for _, number, event in self.events.tolist()]
 
-    def columns(self) -> dict[str, npt.NDArray[Any]]:
+    def columns(self) -> dict[str, AnyArray]:
         """Arrays with an entry for each contact, by the names of the columns of a table: `row` and
         `col` of `centre`, `x_mm`, ... of a place. What is not known is NaN.
         """
         n = self.id.size
-        columns: dict[str, npt.NDArray[Any]] = {"stamp_ns": np.full(n, self.stamp_ns)}
+        columns: dict[str, AnyArray] = {"stamp_ns": np.full(n, self.stamp_ns)}
         for name, sides in _SIDES.items():
             if name == "patch_of":
                 continue
@@ -191,7 +190,7 @@ _SIDES |= {name: (len(columns),) for name, columns in _COLUMNS.items()}
 """Sides of the fields behind the first one, the contacts."""
 
 
-def _within(values: Numbers, n: int) -> bool:
+def _within(values: Integers, n: int) -> bool:
     # numpy has no least of none.
     if not values.size:
         return True

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
+from .arrays import AnyArray
 from .errors import (
     FieldError,
     MalformedError,
@@ -259,7 +259,7 @@ class Array(FieldKind):
     patches: bool = False
     sparse: bool = False
 
-    def check(self, name: str, value: Any) -> npt.NDArray[Any] | None:
+    def check(self, name: str, value: Any) -> AnyArray | None:
         if value is None and self.optional:
             return None
         if not isinstance(value, np.ndarray):
@@ -291,7 +291,7 @@ class Array(FieldKind):
             "data": data,
         }
 
-    def unpack(self, name: str, raw: Any) -> npt.NDArray[Any] | None:
+    def unpack(self, name: str, raw: Any) -> AnyArray | None:
         if raw is None and self.optional:
             return None
         if not isinstance(raw, dict) or raw.keys() != _ARRAY_KEYS:
@@ -310,7 +310,7 @@ class Array(FieldKind):
         # numpy would take any byte but 0 for true, and keep it.
         if self._dtype.kind == "b" and max(data, default=0) > 1:
             raise MalformedError(f"{name}: a boolean byte other than 0 and 1")
-        value: npt.NDArray[Any] = np.ndarray(shape, self._dtype, data)
+        value: AnyArray = np.ndarray(shape, self._dtype, data)
         self._check_finite(name, value)
         return value
 
@@ -330,7 +330,7 @@ class Array(FieldKind):
     def _dtype(self) -> np.dtype[Any]:
         return np.dtype(self.dtype)
 
-    def _check_finite(self, name: str, value: npt.NDArray[Any]) -> None:
+    def _check_finite(self, name: str, value: AnyArray) -> None:
         if value.dtype.kind != "f":
             return
         # One pass over the values; where they are huge their squares overflow, and each is tested.
@@ -371,7 +371,7 @@ class Samples(Array):
     longest: int = MAX_ELEMENTS
     patches: bool = True
 
-    def check(self, name: str, value: Any) -> npt.NDArray[Any] | None:
+    def check(self, name: str, value: Any) -> AnyArray | None:
         checked = super().check(name, value)
         if checked is None or not isinstance(value, Quantised):
             return checked
@@ -387,7 +387,7 @@ class Samples(Array):
             form["data"] = packed(value.codes(), value.bits)
         return form
 
-    def unpack(self, name: str, raw: Any) -> npt.NDArray[Any] | None:
+    def unpack(self, name: str, raw: Any) -> AnyArray | None:
         if not isinstance(raw, dict) or raw.keys() != _QUANTISED_KEYS:
             return super().unpack(name, raw)
         bits = _bits_of(name, raw["dtype"])

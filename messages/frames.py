@@ -10,8 +10,8 @@ from dataclasses import dataclass
 from typing import Any, ClassVar, Self
 
 import numpy as np
-import numpy.typing as npt
 
+from .arrays import Bytes, Floats, Mask
 from .base import Message, once_a_class, wire_fields
 from .errors import FieldError, ShapeError
 from .fields import (
@@ -29,8 +29,6 @@ from .fields import (
     wire,
 )
 
-Floats = npt.NDArray[np.float32]
-Bytes = npt.NDArray[np.uint8]
 FINGERPRINT_PATTERN = r"[0-9a-f]{16}"
 
 MAPS = Array("<f4", 3, patches=True)
@@ -161,7 +159,7 @@ class Sensed(Frames):
         if self.missing is not None and len(self.patches) > 1:
             raise FieldError("missing: is that of one patch")
 
-    def missing_cells(self, shape: tuple[int, ...]) -> npt.NDArray[np.bool_] | None:
+    def missing_cells(self, shape: tuple[int, ...]) -> Mask | None:
         """`missing` as bool of a shape (n_rows, n_cols). Raises ShapeError if it has another."""
         if self.missing is None:
             return None

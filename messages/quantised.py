@@ -3,7 +3,8 @@
 from typing import Any, Self
 
 import numpy as np
-import numpy.typing as npt
+
+from .arrays import Floats, Integers
 
 MIN_BITS = 2
 MAX_BITS = 24
@@ -28,23 +29,24 @@ class Quantised(np.ndarray[Any, np.dtype[np.float32]]):
         return np.asarray(array)
 
     @classmethod
-    def of(cls, codes: npt.NDArray[np.int32], bits: int, step: float) -> Self:
+    def of(cls, codes: Integers, bits: int, step: float) -> Self:
         """Values of codes: int32, of any shape, each of at most `bits` bits."""
         # The step that a reader gets is a float32, too.
         step_32 = np.float32(step)
-        values = (codes * step_32).astype(np.float32).view(cls)
+        products = codes * step_32
+        values = products.astype(np.float32).view(cls)
         values.bits = int(bits)
         values.step = float(step_32)
         return values
 
-    def codes(self) -> npt.NDArray[np.int32]:
+    def codes(self) -> Integers:
         """Whole numbers k, int32, in the shape of the values."""
         values = np.asarray(self)
         codes = np.rint(values / np.float32(self.step))
         return np.asarray(codes, dtype=np.int32)
 
 
-def step_of(values: npt.NDArray[np.float32]) -> float:
+def step_of(values: Floats) -> float:
     """Step of quantised numbers, in their unit; 0 of others."""
     if isinstance(values, Quantised):
         return values.step
@@ -56,26 +58,30 @@ def largest_code(bits: int) -> int:
     return (1 << (bits - 1)) - 1
 
 
-def packed(codes: npt.NDArray[np.int32], bits: int) -> bytes:
+def packed(codes: Integers, bits: int) -> bytes:
     """Codes as bytes: `bits` bits each without gaps, the highest bit first."""
-    # 0 or more, 4 bytes each.
-    shifted = (codes + largest_code(bits)).astype(">u4")
-    code_bytes = shifted.view(np.uint8).reshape(-1, 4)
-    all_bits = np.unpackbits(code_bytes, axis=1)
-    return np.packbits(all_bits[:, 32 - bits :]).tobytes()
+    # 0 or more, 4 bytes each: the highest byte first, as the bits are sent.
+    not_negative = codes + largest_code(bits)
+    code_bytes = not_negative.astype(">u4").view(np.uint8)
+    all_bits = np.unpackbits(code_bytes).reshape(-1, 32)
+
+    sent_bits = all_bits[:, 32 - bits :]
+    return np.packbits(sent_bits).tobytes()
 
 
-def unpacked(data: bytes | memoryview, m: int, bits: int) -> npt.NDArray[np.int32]:
+def unpacked(data: bytes | memoryview, m: int, bits: int) -> Integers:
     """Inverse of `packed`: m codes, int32, from `n_bytes(m, bits)` bytes."""
-    # The highest bits of the 4 bytes of each code are 0.
+    # The last byte is filled up with bits of no code.
     packed_bytes = np.frombuffer(data, np.uint8)
-    all_bits = np.unpackbits(packed_bytes, count=m * bits)
-    wide = np.zeros((m, 32), np.uint8)
-    wide[:, 32 - bits :] = all_bits.reshape(m, bits)
-    code_bytes = np.packbits(wide, axis=1)
+    sent_bits = np.unpackbits(packed_bytes, count=m * bits)
 
-    shifted: npt.NDArray[np.int32] = code_bytes.view(">u4").astype(np.int32)
-    return shifted.reshape(m) - largest_code(bits)
+    # The highest bits of the 4 bytes of each code are 0.
+    all_bits = np.zeros((m, 32), np.uint8)
+    all_bits[:, 32 - bits :] = sent_bits.reshape(m, bits)
+    code_bytes = np.packbits(all_bits)
+
+    not_negative: Integers = code_bytes.view(">u4").astype(np.int32)
+    return not_negative - largest_code(bits)
 
 
 def n_bytes(m: int, bits: int) -> int:

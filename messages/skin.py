@@ -1,11 +1,11 @@
 """The geometry and range of a patch of taxels."""
 
 from dataclasses import dataclass, replace
-from typing import Any, Self
+from typing import Self
 
 import numpy as np
-import numpy.typing as npt
 
+from .arrays import AnyArray, Floats, Integers, Mask
 from .errors import FieldError, ShapeError
 from .fields import MAX_SIDE
 from .ranges import is_real, is_whole
@@ -37,13 +37,13 @@ class Skin:
     """Unit of the readings: "N" (newtons) or what a recording states, e.g. "raw"."""
     pitch_m: float | None = None
     """Distance between the centres of neighbouring taxels, metres; None where not known."""
-    mask: npt.NDArray[np.bool_] | None = None
+    mask: Mask | None = None
     """True where a taxel exists, (n_rows, n_cols); None if all exist."""
-    points: npt.NDArray[np.float32] | None = None
+    points: Floats | None = None
     """Of a skin that is no flat grid: x, y, z in metres, then the outward unit normal, of each cell
     that exists, in row-major order, (n_taxels, 6). Its grid is virtual: neighbours on it are
     neighbours on the surface, `pitch_m` is their median distance. None: a flat grid."""
-    point_rows: npt.NDArray[np.int32] | None = None
+    point_rows: Integers | None = None
     """Row of each point in its file, from 0, which is the place of its reading in a frame of the
     source, (n_taxels,)."""
 
@@ -64,7 +64,7 @@ class Skin:
         if self.point_rows is not None:
             self._check_point_rows(self.point_rows)
 
-    def _check_point_rows(self, point_rows: npt.NDArray[np.int32]) -> None:
+    def _check_point_rows(self, point_rows: Integers) -> None:
         if self.points is None:
             raise FieldError("skin: point_rows without points")
         _check_array("point_rows are", point_rows, np.int32, (len(self.points),))
@@ -77,7 +77,7 @@ class Skin:
         return (self.n_rows, self.n_cols)
 
     @property
-    def exists(self) -> npt.NDArray[np.bool_]:
+    def exists(self) -> Mask:
         """True where a taxel exists, bool (n_rows, n_cols)."""
         if self.mask is None:
             return np.ones(self.shape, dtype=np.bool_)
@@ -90,7 +90,7 @@ class Skin:
             return self.n_rows * self.n_cols
         return int(np.count_nonzero(self.mask))
 
-    def without(self, cells: npt.NDArray[np.bool_]) -> Self:
+    def without(self, cells: Mask) -> Self:
         """The skin without some of its cells: bool (n_rows, n_cols), True where none is left.
         Raises MessageError if the shape differs, or no taxel is left.
         """
@@ -106,7 +106,7 @@ class Skin:
         return replace(self, mask=exists & ~cells, points=points, point_rows=rows)
 
 
-def first_far(places: npt.NDArray[Any]) -> int | None:
+def first_far(places: AnyArray) -> int | None:
     """Number of the first place, (n, 3) in metres, that is not within `MAX_COORDINATE_M` or not
     finite; None: there is none.
     """
@@ -118,7 +118,7 @@ def first_far(places: npt.NDArray[Any]) -> int | None:
 
 
 def _check_array(
-    what: str, value: npt.NDArray[Any], dtype: type, shape: tuple[int, ...]
+    what: str, value: AnyArray, dtype: type, shape: tuple[int, ...]
 ) -> None:
     """Raise MessageError unless an array is of a type and shape."""
     if value.shape != shape or value.dtype != dtype:
@@ -126,7 +126,7 @@ def _check_array(
         raise ShapeError(f"skin: {what} {value.dtype} {list(value.shape)}, {expected}")
 
 
-def _check_points(points: npt.NDArray[np.float32], n: int) -> None:
+def _check_points(points: Floats, n: int) -> None:
     """Raise MessageError unless points are n rows of x, y, z and a unit normal."""
     _check_array("the points are", points, np.float32, (n, 6))
     # Its own test, not a norm: a coordinate may be infinite.

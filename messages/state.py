@@ -3,9 +3,7 @@
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
-import numpy as np
-import numpy.typing as npt
-
+from .arrays import Floats, Integers, Mask
 from .base import Message
 from .errors import MessageError, ShapeError
 from .fields import (
@@ -19,11 +17,9 @@ from .fields import (
     omitted,
     wire,
 )
-from .frames import FINGERPRINT_PATTERN, Floats
+from .frames import FINGERPRINT_PATTERN
 from .skin import Skin
 from .topics import MAX_NAME, NAME_PATTERN, topic_of
-
-Mask = npt.NDArray[np.bool_]
 
 MASK = Array("|b1", 2, optional=True)
 POINTS = Array("<f4", 2, optional=True, longest=MAX_ELEMENTS // 6)
@@ -66,7 +62,7 @@ class SkinState(Message):
     f_min: float = omitted(Real(high=0.0), 0.0)
     live: bool = omitted(Flag(), False)
     points: Floats | None = omitted(POINTS)
-    point_rows: npt.NDArray[np.int32] | None = omitted(POINT_ROWS)
+    point_rows: Integers | None = omitted(POINT_ROWS)
 
     def validate(self) -> None:
         # To make it raises where the mask or the points do not fit the grid.

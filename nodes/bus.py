@@ -33,7 +33,8 @@ class Bus:
         for name, (cls, settings) in nodes.items():
             log = partial(_log, self.lines, name)
             # Frames wait until the nodes are done: no source is live here.
-            node = cls(settings, Context(name, self._clock_of(name), log, live=False))
+            context = Context(name, self._clock_of(name), log, live=False)
+            node = cls(settings, context)
             inputs = [link.topic for link in links if link.reader == name]
             self.hosts[name] = NodeHost(node, LOCAL_RUN_ID, log, inputs)
 
@@ -64,7 +65,8 @@ class Bus:
                 return
 
             # Stamps name frames, so they must differ even on a clock that stands still.
-            self._last_stamp_ns = max(self.clock.now_ns(), self._last_stamp_ns + 1)
+            next_ns = self._last_stamp_ns + 1
+            self._last_stamp_ns = max(self.clock.now_ns(), next_ns)
             tick = Tick(self._last_stamp_ns, self._n_ticks)
             messages: list[Message] = []
             for host in live:
@@ -93,8 +95,12 @@ class Bus:
 
     def reports(self) -> dict[str, dict[str, Any]]:
         """Reports by node name, of the nodes that have one."""
-        reports = ((name, host.node.report()) for name, host in self.hosts.items())
-        return {name: report for name, report in reports if report}
+        reports = {}
+        for name, host in self.hosts.items():
+            report = host.node.report()
+            if report:
+                reports[name] = report
+        return reports
 
     def _deliver(self, messages: Iterable[Message]) -> list[Message]:
         """Deliver messages and all that follow from them, in order; return all of them."""

@@ -12,7 +12,8 @@ class SparseskinError(Exception):
 
     def __str__(self) -> str:
         # Here, so that no place that raises or shows an error can leave it out.
-        return "\n".join(printable(without_users(str(line))) for line in self.args)
+        lines = [without_users(str(line)) for line in self.args]
+        return "\n".join(map(printable, lines))
 
 
 class SettingsError(SparseskinError):

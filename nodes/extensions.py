@@ -3,7 +3,7 @@
 The core imports no plug-in by its name. What it needs it looks up here, when it is asked for.
 """
 
-from collections.abc import Container, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import suppress
 from functools import cache
 from typing import TYPE_CHECKING, Any
@@ -51,9 +51,12 @@ def offered(group: str) -> "dict[str, EntryPoint]":
     return dict(sorted(by_name.items()))
 
 
-def added(group: str, own: Container[str]) -> "dict[str, EntryPoint]":
+def added(group: str, own: Iterable[str]) -> "dict[str, EntryPoint]":
     """Entry points of a group by name, without those that the core has itself: none replaces it."""
-    return {name: point for name, point in offered(group).items() if name not in own}
+    points = dict(offered(group))
+    for name in points.keys() & set(own):
+        del points[name]
+    return points
 
 
 class Registry(Mapping[str, str]):

@@ -82,7 +82,8 @@ def check_link(path: Path) -> None:
     """
     with contextlib.suppress(FileNotFoundError):
         status = path.lstat()
-        if stat.S_ISLNK(status.st_mode) and status.st_uid not in (0, os.geteuid()):
+        trusted_users = (0, os.geteuid())
+        if stat.S_ISLNK(status.st_mode) and status.st_uid not in trusted_users:
             raise OSError(errno.EPERM, f"is a link of user {status.st_uid}")
 
 
@@ -102,7 +103,8 @@ def place(part: Path, path: Path) -> None:
     # A file system without hard links.
     except OSError:
         if os.path.lexists(path):
-            raise FileExistsError(errno.EEXIST, os.strerror(errno.EEXIST)) from None
+            text = os.strerror(errno.EEXIST)
+            raise FileExistsError(errno.EEXIST, text) from None
         part.rename(path)
     else:
         part.unlink()

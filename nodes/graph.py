@@ -64,7 +64,7 @@ def _matching(name: str, pattern: str, writers: Mapping[str, str]) -> list[str]:
 def _hint(topic: str, writers: Mapping[str, str]) -> str:
     """What may have been meant: topics of the same schema, or else all that are written."""
     schema = topic.rpartition("/")[2]
-    same_schema = [t for t in writers if t.rpartition("/")[2] == schema]
+    same_schema = [t for t in writers if t.endswith(f"/{schema}")]
     # Mostly the name of the patch is another one there.
     if same_schema:
         return did_you_mean(topic, same_schema)

@@ -56,7 +56,8 @@ def suggestion(word: str, known: Iterable[str]) -> str:
         # Of two that are as near, the one with more letters in place.
         return ratio, sum(map(str.__eq__, name, word))
 
-    near = max(difflib.get_close_matches(word, known), key=likeness, default="")
+    matches = difflib.get_close_matches(word, known)
+    near = max(matches, key=likeness, default="")
     if not near:
         return ""
     return f" (did you mean '{near}'?)"
@@ -86,7 +87,9 @@ _NOT_THE_USERS = {"sparseskin", "numpy", "numba", *sys.stdlib_module_names}
 def one_line(error: BaseException) -> str:
     """Type and text of an exception, and the line of the user's code that raised it, if any."""
     line = type(error).__name__
-    text = " ".join(str(error)[:MAX_TEXT].split())
+    # Its own lines become one.
+    words = str(error)[:MAX_TEXT].split()
+    text = " ".join(words)
     if text:
         line += f": {text}"
 
@@ -94,7 +97,8 @@ def one_line(error: BaseException) -> str:
     prefix = os.path.join(os.getcwd(), "")
     place = ""
     for frame, number in traceback.walk_tb(error.__traceback__):
-        package = str(frame.f_globals.get("__name__")).partition(".")[0]
+        module = str(frame.f_globals.get("__name__"))
+        package, _, _ = module.partition(".")
         if package not in _NOT_THE_USERS:
             file = frame.f_code.co_filename.removeprefix(prefix)
             place = f" ({file}:{number})"
@@ -114,8 +118,8 @@ def find_callable(target: str, error: type[SparseskinError]) -> Callable[..., An
     A module that is not installed is searched as by `search_here`.
     """
     module_name, colon, attribute = target.partition(":")
-    parts = [*module_name.split("."), *attribute.split(".")]
-    if not colon or not all(part.isidentifier() for part in parts):
+    names = module_name.split(".") + attribute.split(".")
+    if not colon or not all(name.isidentifier() for name in names):
         raise error(f"{target[:80]!r}: expected module:callable, e.g. my_skin:frames")
 
     # A file may have been written since this process looked last.

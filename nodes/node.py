@@ -232,7 +232,8 @@ class SourceNode(Node[S]):
     def _watch_rate(self, now_ns: int) -> None:
         """Log, once for each rate, that frames are acquired more slowly than asked."""
         passed_s = (now_ns - self._t0_ns) / 1e9
-        if not self._t0_ns or passed_s < RATE_S or self.rate_hz == self._missed_hz:
+        is_logged = self.rate_hz == self._missed_hz
+        if not self._t0_ns or passed_s < RATE_S or is_logged:
             return
         # Of the mean since the schedule began: one slow frame is made up for.
         reached_hz = self._n_ticks / passed_s
@@ -248,7 +249,8 @@ class SourceNode(Node[S]):
         if not self.rate_hz:
             return 0
         # An absolute target: the error of one tick does not add to the next.
-        return self._t0_ns + round((self._n_ticks + 1) * 1e9 / self.rate_hz)
+        elapsed_ns = (self._n_ticks + 1) * 1e9 / self.rate_hz
+        return self._t0_ns + round(elapsed_ns)
 
     def command(self, name: str, value: Any) -> str:
         if name != "pause":

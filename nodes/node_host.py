@@ -93,7 +93,9 @@ class Counts:
         """Counters as plain data, for status lines and summaries."""
         counts: dict[str, Any] = {}
         for name in COUNTED:
-            counts[name] = {t: getattr(c, name) for t, c in self.inputs.items()}
+            counts[name] = {}
+            for topic, count in self.inputs.items():
+                counts[name][topic] = getattr(count, name)
         counts["published"] = dict(self.published)
         counts["refused"] = dict(self.refused)
         if self.errors:
@@ -203,14 +205,16 @@ class NodeHost:
         count.end(end.run_id, end.n_messages)
         yield from self._guarded(self.node.ended, end.topic, end.n_messages)
         # States have no end.
-        if all(self.counts.inputs[topic].ended for topic in self.streams):
+        inputs = self.counts.inputs
+        if all(inputs[topic].ended for topic in self.streams):
             yield from self.finish(self._last_stamp_ns)
 
     def change(self, changes: Mapping[str, Any]) -> list[Message]:
         """Change settings between two frames, or raise SparseskinError; return what follows."""
         # Not guarded: whoever asked for the change reads the error.
         settings = self.node.settings.changed(changes)
-        return [self._numbered(message) for message in self.node.change(settings)]
+        messages = self.node.change(settings)
+        return [self._numbered(message) for message in messages]
 
     def finish(self, stamp_ns: int) -> Iterator[Message]:
         """End the stream: one End on each output topic, once."""
@@ -249,7 +253,8 @@ class NodeHost:
 
     def close(self) -> None:
         """Let the node finish its files and devices."""
-        self._do(lambda: self.node.close(self.counts.as_dict()))
+        counts = self.counts.as_dict()
+        self._do(lambda: self.node.close(counts))
 
     def _do(self, action: Callable[[], None]) -> None:
         try:

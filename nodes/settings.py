@@ -36,7 +36,8 @@ class Range:
 
 def setting(default: Any, doc: str, **allowed: Any) -> Any:
     """Declare one setting: its default and its `Range`."""
-    return dataclasses.field(default=default, metadata={"range": Range(doc, **allowed)})
+    metadata = {"range": Range(doc, **allowed)}
+    return dataclasses.field(default=default, metadata=metadata)
 
 
 @dataclass(frozen=True)
@@ -46,7 +47,8 @@ class Settings:
     def __post_init__(self) -> None:
         hints = typing.get_type_hints(type(self))
         for field in dataclasses.fields(self):
-            value = _checked(field.name, getattr(self, field.name), hints[field.name])
+            raw = getattr(self, field.name)
+            value = _checked(field.name, raw, hints[field.name])
             _check_range(field.name, value, field.metadata["range"])
             # The dataclass is frozen.
             object.__setattr__(self, field.name, value)
@@ -62,11 +64,13 @@ class Settings:
 
     def changed(self, changes: Mapping[str, Any]) -> Self:
         """Copy with some live settings changed; SettingsError if a key or value is not allowed."""
-        fields = {field.name: field for field in dataclasses.fields(self)}
-        live = [name for name, field in fields.items() if field.metadata["range"].live]
-        for key in changes:
-            if key not in fields:
-                raise SettingsError(f"{key}: unknown key{did_you_mean(key, fields)}")
+        ranges: dict[str, Range] = {}
+        for field in dataclasses.fields(self):
+            ranges[field.name] = field.metadata["range"]
+        live = [name for name, allowed in ranges.items() if allowed.live]
+        for key, value in changes.items():
+            if key not in ranges:
+                raise SettingsError(f"{key}: unknown key{did_you_mean(key, ranges)}")
             if key not in live:
                 raise SettingsError(
                     f"{key}: cannot be changed while the graph runs "
@@ -74,8 +78,7 @@ class Settings:
                 )
 
             # A module of the user's own is imported for a launch file only.
-            value = changes[key]
-            registered = fields[key].metadata["range"].known
+            registered = ranges[key].known
             if registered and value is not None and value not in registered:
                 raise SettingsError(
                     f"{key}: {value!r} is not allowed while the graph runs"
@@ -223,8 +226,9 @@ def _checked(name: str, value: Any, hint: Any) -> Any:
                 return int(value)
         elif isinstance(value, option):
             return value
-    names = " or ".join(_TYPE_NAMES.get(option, str(option)) for option in options)
-    raise SettingsError(f"{name}: expected {names}, got {value!r}")
+    names = [_TYPE_NAMES.get(option, str(option)) for option in options]
+    expected = " or ".join(names)
+    raise SettingsError(f"{name}: expected {expected}, got {value!r}")
 
 
 _TYPE_NAMES: dict[Any, str] = {

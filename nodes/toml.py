@@ -33,7 +33,8 @@ def parse_toml(text: str, max_chars: int = MAX_CHARS) -> dict[str, Any]:
         raise ValueError(f"more than {max_chars} characters")
     for number, line in enumerate(text.splitlines(), start=1):
         # The time that a parser takes for a key grows with the square of its parts.
-        if any(part.count(".") > MAX_DOTS for part in _NO_KEY.split(line)):
+        keys = _NO_KEY.split(line)
+        if any(key.count(".") > MAX_DOTS for key in keys):
             raise ValueError(
                 f"a key of more than {MAX_DOTS} parts (at line {number}, column 1)"
             )
@@ -66,8 +67,8 @@ def parse_toml(text: str, max_chars: int = MAX_CHARS) -> dict[str, Any]:
             )
         if isinstance(value, int) and not -INT64_MAX - 1 <= value <= INT64_MAX:
             raise ValueError(f"{where}: a whole number beyond 64 bits")
+        if isinstance(value, list):
+            value = {str(number): part for number, part in enumerate(value)}
         if isinstance(value, dict):
             waiting += [((*place, key), part) for key, part in value.items()]
-        elif isinstance(value, list):
-            waiting += [((*place, str(key)), part) for key, part in enumerate(value)]
     return tree

@@ -66,8 +66,9 @@ class MeasuredNoise:
             return self.sigma
 
         # Clipped noise leaves half of the untouched taxels at 0.
-        is_clipped = np.count_nonzero(forces) < 0.75 * forces.size
-        median_per_sd = CLIPPED if is_clipped else DIFFERENCE
+        median_per_sd = DIFFERENCE
+        if np.count_nonzero(forces) < 0.75 * forces.size:
+            median_per_sd = CLIPPED
         of_frame = _median(change) / median_per_sd
 
         if self._mean is None:
@@ -86,4 +87,5 @@ def _median(values: Floats) -> float:
         values.partition(middle)
         return float(values[middle])
     values.partition((middle - 1, middle))
-    return float(values[middle - 1 : middle + 1].mean())
+    two_in_the_middle = values[middle - 1 : middle + 1]
+    return float(two_in_the_middle.mean())

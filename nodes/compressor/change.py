@@ -12,7 +12,7 @@ import numpy as np
 from sparseskin.messages import SkinState
 from sparseskin.nodes.numerics.arrays import Floats, Indices, Mask
 
-from .departures import Bounds, Departures, Windows
+from .departures import Departures, Windows
 
 FALSE_SENDS = 1e-4
 """False sends a frame and patch at rest. Chosen: one in 10,000."""
@@ -72,12 +72,8 @@ class ChangeWatch:
         self._total = np.zeros(shape, dtype=np.float32)
         self._half_total = np.zeros(shape, dtype=np.float32)
         self._k = np.zeros(n_patches, dtype=np.intp)
-        # Zeros until the first block ends: nothing is compared with them.
-        self._bounds = Bounds(
-            np.zeros((n_patches, N_WINDOWS, n_scores), dtype=np.float32),
-            np.zeros(shape, dtype=np.float32),
-            np.zeros(n_patches),
-        )
+        # Until the first block ends, nothing is compared with them.
+        self._bounds = self._departures.no_bounds(n_patches)
 
     def to_send(self, readings: Floats) -> Mask:
         """Look at the next frame: float32 (n_patches, n_rows, n_cols); return True for each patch
@@ -92,14 +88,17 @@ class ChangeWatch:
 
         self._total += readings
         self._k += 1
-        halves = np.flatnonzero(self.sending & (self._k == self.length // 2))
+        is_half = self._k == self.length // 2
+        halves = np.flatnonzero(self.sending & is_half)
         if halves.size:
             self._half_total[halves] = self._total[halves]
 
-        ends = self._k == np.where(self.sending, self.length, BLOCK)
+        length = np.where(self.sending, self.length, BLOCK)
+        ends = self._k == length
         # Before any block ends: its end may stop the sending.
+        sent = np.flatnonzero(ends & self.sending)
         quiet = np.flatnonzero(ends & ~self.sending)
-        for patch in np.flatnonzero(ends & self.sending).tolist():
+        for patch in sent.tolist():
             self._end_sent(patch)
         if quiet.size:
             self._join(quiet)
@@ -141,13 +140,13 @@ class ChangeWatch:
 
         # Also where the halves disagree: noise depends on the forces, which have changed.
         bounds = self._departures.bounds(mean[np.newaxis])
-        self._bounds.squares[patch] = bounds.squares
-        self._bounds.weights[patch] = bounds.weights
-        self._bounds.energy[patch] = bounds.energy[0]
+        self._bounds.put(patch, bounds)
 
         # The difference of the means of two halves has 4 / length of the variance of a reading.
-        scores = self._departures.scores((late - early)[np.newaxis])
-        limits = bounds.squares[:, -1] * np.sqrt(4 / length, dtype=np.float32)
+        difference = (late - early)[np.newaxis]
+        scores = self._departures.scores(difference)
+        deviation = np.sqrt(4 / length, dtype=np.float32)
+        limits = bounds.squares[:, -1] * deviation
         if (np.abs(scores) <= limits).all():
             self._reference[patch] = mean
             self._n[patch] = length
@@ -164,7 +163,8 @@ class ChangeWatch:
         # A reference that has learnt enough stays: it would follow a slow change.
         joins = n < LEARNT * self.length
         joining = patches[joins]
-        share = (BLOCK / (n[joins] + BLOCK)).astype(np.float32)
+        share = BLOCK / (n[joins] + BLOCK)
+        share_32 = share.astype(np.float32)[:, np.newaxis, np.newaxis]
         correction = means[joins] - self._reference[joining]
-        self._reference[joining] += share[:, np.newaxis, np.newaxis] * correction
+        self._reference[joining] += share_32 * correction
         self._n[joining] += BLOCK

@@ -58,8 +58,8 @@ def normal_cdf(t: Doubles) -> Doubles:
     """Distribution function of a standard normal variable, float64 of any shape."""
     # numpy has no error function, and scipy's takes long to import.
     arguments = -t.reshape(-1) / math.sqrt(2)
-    values = [0.5 * math.erfc(argument) for argument in arguments.tolist()]
-    return np.array(values).reshape(t.shape)
+    tails = [math.erfc(argument) for argument in arguments.tolist()]
+    return 0.5 * np.array(tails).reshape(t.shape)
 
 
 def cumulants_clipped(t: Doubles) -> Doubles:
@@ -86,7 +86,8 @@ def _cumulants_of_square(clips: bool) -> Doubles:
     at_zero = _T_SQUARE * CLIPPED_MEAN**2
     # For z > 0, completing the square leaves a normal density with a shifted mean.
     shift = 2 * _T_SQUARE * CLIPPED_MEAN / np.sqrt(shrunk)
-    positive = at_zero + shift**2 / 2 + of_normal + np.log(normal_cdf(-shift))
+    above_zero = np.log(normal_cdf(-shift))
+    positive = at_zero + shift**2 / 2 + of_normal + above_zero
     return np.logaddexp(math.log(0.5) + at_zero, positive)
 
 
@@ -136,7 +137,8 @@ def variance_clipped(weights: Weights, n_frames: int, z: float) -> float:
             cumulants += n_terms * cumulants_clipped(_T * weight)
 
     # A normal sum of this bound has z standard deviations in it.
-    bound = float(((cumulants + z * z / 2) / _T).min())
+    bounds = (cumulants + z * z / 2) / _T
+    bound = float(bounds.min())
     return bound * bound / (z * z)
 
 
@@ -201,7 +203,10 @@ class Squares:
 
     def of_cells(self, level: int) -> Indices:
         """Number of the square of a level that each cell of the grid lies in, flat."""
-        rows, cols = np.divmod(np.arange(math.prod(self._shape)), self._shape[1])
+        n_cols = self._shape[1]
+        cells = np.arange(math.prod(self._shape))
+        rows, cols = np.divmod(cells, n_cols)
+
         side = self.levels[level]
         _, squares_of_row = self._shapes[level]
         numbers: Indices = rows // side * squares_of_row + cols // side
@@ -210,16 +215,19 @@ class Squares:
 
 def _pooled(grids: Floats) -> Floats:
     """Sums of two by two neighbours, (k, rows, cols) to half of them, rounded up."""
-    _, n_rows, n_cols = grids.shape
+    k, n_rows, n_cols = grids.shape
     # A last row or column of an odd number has no neighbour. (np.pad takes ten times as long.)
     if n_rows % 2 or n_cols % 2:
-        even = len(grids), n_rows + n_rows % 2, n_cols + n_cols % 2
-        padded = np.zeros(even, dtype=grids.dtype)
+        even_rows = n_rows + n_rows % 2
+        even_cols = n_cols + n_cols % 2
+        padded = np.zeros((k, even_rows, even_cols), dtype=grids.dtype)
         padded[:, :n_rows, :n_cols] = grids
         grids = padded
 
-    rows = grids[:, ::2] + grids[:, 1::2]
-    pooled: Floats = rows[:, :, ::2] + rows[:, :, 1::2]
+    upper = grids[:, ::2]
+    lower = grids[:, 1::2]
+    pairs = upper + lower
+    pooled: Floats = pairs[:, :, ::2] + pairs[:, :, 1::2]
     return pooled
 
 
@@ -236,6 +244,12 @@ class Bounds:
     squares: Floats
     weights: Floats
     energy: Doubles
+
+    def put(self, patch: int, of_patch: Bounds) -> None:
+        """Replace the bounds of a patch, by number, by those of a single one."""
+        self.squares[patch] = of_patch.squares
+        self.weights[patch] = of_patch.weights
+        self.energy[patch] = of_patch.energy[0]
 
 
 class Departures:
@@ -290,7 +304,8 @@ class Departures:
         self._z_energy = -quantile(chance / 2)
 
         #: Number of taxels of each square.
-        self._count = self.squares.sums(self._exists[np.newaxis].astype(np.float32))[0]
+        ones = self._exists[np.newaxis].astype(np.float32)
+        self._count = self.squares.sums(ones)[0]
         sums = [self._of_measurements(phi) for phi in phis]
         if not phis:
             sums = [self._of_readings()]
@@ -304,9 +319,9 @@ class Departures:
 
         # Weights are those of the first subset, to which the others are alike.
         _, weights = sums[0]
-        n_squares = [span.stop - span.start for span in self.squares.spans]
-        inside = np.array([of_level.inside for of_level in weights], dtype=np.float32)
-        self._inside = np.repeat(inside, n_squares)
+        self._inside = np.empty(self.squares.n, dtype=np.float32)
+        for span, of_level in zip(self.squares.spans, weights, strict=True):
+            self._inside[span] = of_level.inside
         self._excess = self._excess_of(weights)
 
     def scores(self, differences: Floats, subset: int = 0) -> Floats:
@@ -326,33 +341,48 @@ class Departures:
         """Sums of the squares of differences over their variances, (k,)."""
         k = len(differences)
         weighted = differences * bounds.weights
-        products = weighted.reshape(k, -1) * differences.reshape(k, -1)
+        terms = (weighted * differences).reshape(k, -1)
         # In float64: of thousands of terms, a float32 sum would lose the small ones.
-        sums: Doubles = products.sum(axis=1, dtype=np.float64)
+        sums: Doubles = terms.sum(axis=1, dtype=np.float64)
         return sums
 
     def bounds(self, reference: Floats) -> Bounds:
         """Bounds of differences from mean readings or forces: float32 (k, n_rows, n_cols)."""
-        variances = np.square(self._noise.sigma(reference)) * self._exists
+        sigma = self._noise.sigma(reference)
+        variances = np.square(sigma) * self._exists
         untouched = np.zeros(reference.shape, dtype=np.bool_)
         if self._clips:
             # The tables are of noise with a deviation of 1; a reference is a mean of clipped ones.
             clipped_part = np.interp(reference / self._end, _MEANS, _VARIANCES)
             variances *= clipped_part.astype(np.float32)
-            untouched = self._exists & (reference < _MEANS[-1] * self._end)
+            is_light = reference < _MEANS[-1] * self._end
+            untouched = self._exists & is_light
 
         # Where few weights carry a score, untouched taxels count for more than their variance.
         of_score = self._of_scores(variances)
         untouched_share = self._of_scores(untouched.astype(np.float32))
         excess = self._excess * untouched_share[:, np.newaxis]
-        of_windows = of_score[:, np.newaxis] + np.float32(self._end**2) * excess
+        excess *= np.float32(self._end**2)
+        of_windows = of_score[:, np.newaxis] + excess
         limits: Floats = np.float32(self._z) * np.sqrt(of_windows)
 
         of_energy = self._energy_of_readings
         if self._phis:
             of_energy = self._energy_of_measurements
-        weights, energy = of_energy(variances, np.count_nonzero(untouched, axis=(1, 2)))
+        n_untouched = np.count_nonzero(untouched, axis=(1, 2))
+        weights, energy = of_energy(variances, n_untouched)
         return Bounds(limits, weights, energy)
+
+    def no_bounds(self, n_patches: int) -> Bounds:
+        """Zeros, for as many patches, of which nothing is known yet."""
+        one_weight = self._exists.shape
+        if self._phis:
+            one_weight = (1,)
+        return Bounds(
+            np.zeros((n_patches, self.n_windows, self.squares.n), dtype=np.float32),
+            np.zeros((n_patches, *one_weight), dtype=np.float32),
+            np.zeros(n_patches),
+        )
 
     def _of_scores(self, values: Floats) -> Floats:
         """Means of the values of taxels, (k, n_rows, n_cols), by their parts of scores: (k, n)."""
@@ -369,9 +399,7 @@ class Departures:
     ) -> tuple[Floats, Doubles]:
         """Weights and bounds of the energy, as in `Bounds`, of readings."""
         n_touched = self._cells.size - n_untouched
-        pairs = zip(n_touched.tolist(), n_untouched.tolist(), strict=True)
-        bounds = [energy_bound(*numbers, self._z_energy) for numbers in pairs]
-        energy = np.array(bounds)
+        energy = self._energy_bounds(n_touched, n_untouched)
         weights = np.zeros_like(variances)
         np.divide(1, variances, out=weights, where=variances > 0)
         return weights, energy
@@ -380,43 +408,52 @@ class Departures:
         self, variances: Floats, n_untouched: Indices
     ) -> tuple[Floats, Doubles]:
         """The same of measurements."""
-        # Differing variances are those of fewer, larger terms (Satterthwaite): the spread.
         n = self._cells.size
         phi = self._phis[0]
         mean = variances.sum(axis=(1, 2)) / n
         mean_square = np.square(variances).sum(axis=(1, 2)) / n
-        spread = 1 + phi.m / n * (mean_square / mean**2 - 1)
+
+        # Differing variances are those of fewer, larger terms (Satterthwaite): the spread.
+        relative_variance = mean_square / mean**2 - 1
+        spread = 1 + phi.m / n * relative_variance
         share = n_untouched / n
         touched_terms = (1 - share) * phi.m / spread
         untouched_terms = share * phi.m / spread
-        pairs = zip(touched_terms.tolist(), untouched_terms.tolist(), strict=True)
-        bounds = [energy_bound(*numbers, self._z_energy) for numbers in pairs]
-        energy = spread * np.array(bounds)
+        energy = spread * self._energy_bounds(touched_terms, untouched_terms)
 
         # Measurements mix taxels: all have the mean variance, at most `lipschitz` times as much.
         weights = np.float32(1 / phi.lipschitz) / mean
         return weights[:, np.newaxis].astype(np.float32), energy
 
+    def _energy_bounds(
+        self, n_touched: Doubles | Indices, n_untouched: Doubles | Indices
+    ) -> Doubles:
+        """`energy_bound` of each patch, (k,)."""
+        numbers = zip(n_touched.tolist(), n_untouched.tolist(), strict=True)
+        return np.array([energy_bound(*n, self._z_energy) for n in numbers])
+
     def _back_projected(self, measurements: Floats, phi: Phi) -> Floats:
         """Phi' d on the grid: (k, m) to (k, n_rows, n_cols), 0 where no taxel is."""
         taxels = phi.adjoint(np.ascontiguousarray(measurements))
-        shape = len(taxels), *self._exists.shape
-        if self._cells.size == self._exists.size:
-            return taxels.reshape(shape)
-        grids = np.zeros((len(taxels), self._exists.size), dtype=np.float32)
-        grids[:, self._cells] = taxels
-        return grids.reshape(shape)
+        k = len(taxels)
+        grids = taxels
+        if self._cells.size < self._exists.size:
+            grids = np.zeros((k, self._exists.size), dtype=np.float32)
+            grids[:, self._cells] = taxels
+        return grids.reshape(k, *self._exists.shape)
 
     def _product(self, phi: Phi, scale: Floats) -> Floats:
         """Matrix (m, n) by which measurements have their scores."""
         rows = []
         for level, span in enumerate(self.squares.spans):
-            numbers = np.arange(span.stop - span.start)[:, np.newaxis]
-            squares = self.squares.of_cells(level)[self._cells] == numbers
+            square_of_taxel = self.squares.of_cells(level)[self._cells]
+            numbers = np.arange(span.stop - span.start)
+            squares = square_of_taxel == numbers[:, np.newaxis]
             # The sum of Phi' d over a square is the product of d with Phi times the square.
             rows.append(phi.forward(squares.astype(np.float32)))
-        scaled: Floats = np.concatenate(rows) * scale[:, np.newaxis]
-        return np.ascontiguousarray(scaled.T)
+        matrix = np.concatenate(rows)
+        matrix *= scale[:, np.newaxis]
+        return np.ascontiguousarray(matrix.T)
 
     def _of_readings(self) -> tuple[Doubles, list[Weights]]:
         """Norms of the sums of readings, (n,), and weights of each level."""
@@ -443,7 +480,8 @@ class Departures:
             facts = self._facts(phi, level, n_squares)
             norms[span] = facts[:, 0]
             # A square that no measurement reads has no weights.
-            measured = facts[facts[:, 1] > 0, 1:]
+            is_measured = facts[:, 1] > 0
+            measured = facts[is_measured, 1:]
             if not len(measured):
                 measured = np.ones((1, 3))
             inside = measured[:, 0].max()
@@ -466,10 +504,11 @@ class Departures:
         # Single taxels: those of a block have the same weights in another order, so that its first
         # one stands for all of them.
         begins = np.cumsum(layout.sizes) - layout.sizes
-        taxels = layout.permutation[begins]
-        of_block = _facts_of(phi, np.arange(phi.n) == taxels[:, np.newaxis])
-        block = np.repeat(np.arange(len(layout.sizes)), layout.sizes)
-        facts[square_of_taxel[layout.permutation]] = of_block[block]
+        first_taxels = layout.permutation[begins]
+        squares = np.arange(phi.n) == first_taxels[:, np.newaxis]
+        of_block = _facts_of(phi, squares)
+        of_taxel = np.repeat(of_block, layout.sizes, axis=0)
+        facts[square_of_taxel[layout.permutation]] = of_taxel
         return facts
 
     def _excess_of(self, weights: Sequence[Weights]) -> Floats:
@@ -488,26 +527,31 @@ def _inverse(norms: Doubles) -> Floats:
     """Inverses of norms, float32; 0 of what is not measured."""
     # Smaller norms are the rounding of a square that no measurement reads.
     is_measured = norms > 1e-6 * norms.max()
-    inverses = np.divide(1, norms, out=np.zeros_like(norms), where=is_measured)
+    inverses = np.zeros_like(norms)
+    np.divide(1, norms, out=inverses, where=is_measured)
     return inverses.astype(np.float32)
 
 
 def _facts_of(phi: Phi, squares: Mask) -> Doubles:
     """Norm and `Weights` of sums over squares, bool (k, n): float64 (k, 4)."""
-    weights = phi.adjoint(phi.forward(squares.astype(np.float32)))
+    measured = phi.forward(squares.astype(np.float32))
+    weights = phi.adjoint(measured)
     powers = np.square(weights, dtype=np.float64)
     total = powers.sum(axis=1)
+    norm = np.sqrt(total)
+
     inside = powers * squares
     share_inside = inside.sum(axis=1) / np.maximum(total, TINY)
     n_inside = _n_equal(inside)
     n_outside = _n_equal(powers * ~squares)
-    return np.stack([np.sqrt(total), share_inside, n_inside, n_outside], axis=1)
+    return np.stack([norm, share_inside, n_inside, n_outside], axis=1)
 
 
 def _n_equal(powers: Doubles) -> Doubles:
     """Least number of equal weights with the sum of each row of squared weights, (k, n): (k,)."""
     sums = powers.sum(axis=1)
-    numbers: Doubles = sums / np.maximum(powers.max(axis=1), TINY)
+    largest = np.maximum(powers.max(axis=1), TINY)
+    numbers: Doubles = sums / largest
     # Those of no weight are as good as infinitely many.
     numbers[sums <= TINY] = np.inf
     return numbers
@@ -550,9 +594,13 @@ class Windows:
             n = 1 << window
             # The error of a reference is the same in all frames of its row subset: it adds up.
             n_alike = max(1.0, n / self._cycle)
-            widened = np.sqrt(n * (1 + n_alike * noise)).astype(np.float32)
-            size = total if one_sided else np.abs(total)
-            exceeds = size > limits[:, window] * widened[:, np.newaxis]
+            variance = n * (1 + n_alike * noise)
+            widened = np.sqrt(variance).astype(np.float32)
+            limit = limits[:, window] * widened[:, np.newaxis]
+            size = total
+            if not one_sided:
+                size = np.abs(total)
+            exceeds = size > limit
             alarms |= np.logical_or.reduce(exceeds, axis=1)
 
             if window + 1 == self._n_windows:

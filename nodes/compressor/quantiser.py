@@ -23,11 +23,13 @@ def quantised(y: Floats, bits: int) -> Quantised:
     """
     # The largest measurement of the frame has the largest code.
     top = largest_code(bits)
-    largest = max(float(np.abs(y).max()), SMALLEST)
+    sizes = np.abs(y)
+    largest = max(float(sizes.max()), SMALLEST)
     step = np.float32(largest / top)
 
     # In float64: at 16 bits the rounding of a float32 quotient would show.
     quotients = np.divide(y, step, dtype=np.float64)
     # The step was rounded to float32: with 24 bits the largest code may come out 1 too large.
-    codes = np.clip(np.rint(quotients), -top, top).astype(np.int32)
-    return Quantised.of(codes, bits, float(step))
+    rounded = np.rint(quotients)
+    codes = np.clip(rounded, -top, top)
+    return Quantised.of(codes.astype(np.int32), bits, float(step))

@@ -6,7 +6,8 @@ from dataclasses import dataclass
 from itertools import islice
 
 import numpy as np
-import numpy.typing as npt
+
+from sparseskin.nodes.numerics.arrays import Doubles
 
 SPAN_S = 60.0
 """Time that the charts of a page show."""
@@ -112,7 +113,7 @@ class History:
         rows.append(row)
         self.n += 1
 
-    def since(self, n: int) -> tuple[int, npt.NDArray[np.float64]]:
+    def since(self, n: int) -> tuple[int, Doubles]:
         """The rows from number `n`, or a later one if that is removed: the number of the first, and
         a copy of them, float64 (k, n_columns).
         """

@@ -168,9 +168,10 @@ class Gate:
         if not self._pending:
             return
         # One address that floods must not shut out the others.
-        hosts = {fd: _host(address) for fd, address in self._pending.items()}
-        ((flooding, _),) = Counter(hosts.values()).most_common(1)
-        fd = next(fd for fd, host in hosts.items() if host == flooding)
+        hosts = [_host(address) for address in self._pending.values()]
+        ((flooding, _),) = Counter(hosts).most_common(1)
+        fds = list(self._pending)
+        fd = fds[hosts.index(flooding)]
         address = self._pending.pop(fd)
 
         _shut_down(fd, address)

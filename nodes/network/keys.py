@@ -143,7 +143,8 @@ def _check_owner(path: Path, status: os.stat_result) -> None:
 
 def _write(path: Path, mode: int, comment: str, key: str) -> None:
     # Created with its mode, so that others can at no moment read it.
-    fd = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, mode)
+    flags = os.O_WRONLY | os.O_CREAT | os.O_EXCL
+    fd = os.open(path, flags, mode)
     with os.fdopen(fd, "w") as file:
         file.write(f"{comment}\n{key}\n")
 

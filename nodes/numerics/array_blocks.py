@@ -13,9 +13,9 @@ from dataclasses import dataclass
 from typing import IO, Any
 
 import numpy as np
-import numpy.typing as npt
 
 from .array_files import ArrayFileError
+from .arrays import AnyArray
 
 MIN_RUN_BYTES = 1 << 12
 """Bytes read in a row where the entries of an axis are scattered: a page of the file."""
@@ -36,14 +36,16 @@ class StoredArray:
     by_columns: bool = False
     can_seek: bool = False
 
-    def blocks(self, axis: int, size: int) -> Iterator[npt.NDArray[Any]]:
+    def blocks(self, axis: int, size: int) -> Iterator[AnyArray]:
         """Blocks of `size` entries of an axis, the last one shorter: (k, *other sides).
 
         Numbers that stand in another order in a stream that cannot seek are copied to a temporary
         file first. Raises ArrayFileError if the stream ends before the last number.
         """
         sides = self._sides
-        at = len(sides) - 1 - axis if self.by_columns else axis
+        at = axis
+        if self.by_columns:
+            at = len(sides) - 1 - axis
         with self.open() as stream:
             # Entries stand in a row where no axis outside theirs has more than one.
             if math.prod(sides[:at]) == 1:
@@ -61,15 +63,16 @@ class StoredArray:
 
     def _in_a_row(
         self, stream: IO[bytes], sides: tuple[int, ...], at: int, size: int
-    ) -> Iterator[npt.NDArray[Any]]:
+    ) -> Iterator[AnyArray]:
         """Parts along an axis with no entries of others between its own."""
         for begin in range(0, sides[at], size):
             n = min(size, sides[at] - begin)
-            yield self._read(stream, (*sides[:at], n, *sides[at + 1 :]))
+            shape = *sides[:at], n, *sides[at + 1 :]
+            yield self._read(stream, shape)
 
     def _scattered(
         self, stream: IO[bytes], sides: tuple[int, ...], at: int, size: int
-    ) -> Iterator[npt.NDArray[Any]]:
+    ) -> Iterator[AnyArray]:
         """Parts along an axis whose entries are gathered from all over the stream."""
         n_outer = math.prod(sides[:at])
         n_inner = math.prod(sides[at + 1 :])
@@ -88,22 +91,25 @@ class StoredArray:
                 n = min(n_gathered, sides[at] - row)
                 entries = np.empty((n_outer, n, n_inner), self.dtype)
                 for outer in range(n_outer):
-                    stream.seek(begin + (outer * sides[at] + row) * entry_bytes)
+                    n_before = outer * sides[at] + row
+                    stream.seek(begin + n_before * entry_bytes)
                     entries[outer] = self._read(stream, (n, n_inner))
-                whole = entries.reshape(*sides[:at], n, *sides[at + 1 :])
+                shape = *sides[:at], n, *sides[at + 1 :]
+                whole = entries.reshape(shape)
                 outer_axes = (slice(None),) * at
                 for start in range(0, n, size):
                     yield whole[*outer_axes, start : start + size]
 
-    def whole(self) -> npt.NDArray[Any]:
+    def whole(self) -> AnyArray:
         """The array. Raises ArrayFileError as `blocks` does."""
         with self.open() as stream:
             array = self._read(stream, self._sides)
         return array.transpose() if self.by_columns else array
 
-    def _read(self, stream: Any, shape: tuple[int, ...]) -> npt.NDArray[Any]:
+    def _read(self, stream: Any, shape: tuple[int, ...]) -> AnyArray:
         array = np.empty(shape, self.dtype)
-        buffer = memoryview(array.reshape(-1).view(np.uint8).data)
+        array_bytes = array.reshape(-1).view(np.uint8)
+        buffer = memoryview(array_bytes.data)
         at = 0
         while at < len(buffer):
             # A part at a time: some streams copy what they read.
@@ -147,8 +153,10 @@ class Section(io.RawIOBase):
         return len(part)
 
     def _file_bytes(self, n: int) -> bytes:
+        # Another section of the same file may have been read since.
         self._file.seek(self._at)
-        part = self._file.read(max(0, min(n, self._end - self._at)))
+        n_left = max(0, self._end - self._at)
+        part = self._file.read(min(n, n_left))
         self._at += len(part)
         return part
 

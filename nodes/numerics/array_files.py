@@ -11,7 +11,8 @@ from contextlib import contextmanager
 from typing import IO, Any, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
+
+from .arrays import AnyArray
 
 MAX_GROWTH = 100
 """Size of the arrays of an .npz in that of the file; zeros are compressed to a thousandth."""
@@ -32,19 +33,20 @@ def is_npz(raw: bytes) -> bool:
     return raw.startswith(_ZIP)
 
 
-def read_npy(raw: bytes) -> npt.NDArray[np.generic]:
+def read_npy(raw: bytes) -> AnyArray:
     """The array of an .npy, a view of its bytes. Raises ArrayFileError if it is none of numbers."""
     head = io.BytesIO(raw[:MAX_HEAD_BYTES])
     shape, in_columns, dtype = _header(head)
     n_bytes = len(raw) - head.tell()
     _check_size(shape, dtype, n_bytes)
     # NumPy refuses a view of no bytes.
-    flat: npt.NDArray[np.generic] = np.empty(0, dtype)
+    flat: AnyArray = np.empty(0, dtype)
     if n_bytes:
         flat = np.frombuffer(raw, dtype, offset=head.tell())
     try:
         return flat.reshape(shape, order="F" if in_columns else "C")
-    except ValueError as error:  # no number, in sides that no index counts
+    # No number, in sides that no index counts.
+    except ValueError as error:
         raise ArrayFileError(f"its header states {_shape(shape)}") from error
 
 
@@ -72,7 +74,7 @@ def read_npz(
     file: bytes | IO[bytes],
     wanted: Callable[[list[str]], list[str]],
     most_bytes: int | None = None,
-) -> dict[str, npt.NDArray[np.generic]]:
+) -> dict[str, AnyArray]:
     """Those arrays of an .npz that `wanted` chooses of their names.
 
     Raises ArrayFileError if it is no archive, such an array cannot be read, or they are larger
@@ -97,7 +99,10 @@ def opened_npz(
     """An archive and its arrays by name; ArrayFileError for all that fails while it is open."""
     try:
         with zipfile.ZipFile(file) as archive:
-            members = {m.filename.removesuffix(".npy"): m for m in archive.infolist()}
+            members = {}
+            for member in archive.infolist():
+                name = member.filename.removesuffix(".npy")
+                members[name] = member
             yield archive, members
     except ArrayFileError:
         raise
@@ -129,14 +134,14 @@ def _check_size(shape: tuple[int, ...], dtype: np.dtype[Any], held: int) -> None
     if dtype.hasobject:
         raise ArrayFileError("it holds Python objects; allowed are arrays of numbers")
     stated = math.prod(shape) * dtype.itemsize
-    if min(shape, default=0) < 0 or stated != held or not dtype.itemsize:
+    is_negative = min(shape, default=0) < 0
+    # Numbers of no bytes would be as many as the header states.
+    if is_negative or stated != held or not dtype.itemsize:
         text = f"{_shape(shape)} of {str(dtype)[:40]}, but {held} bytes follow"
         raise ArrayFileError(f"its header states {text}")
 
 
-def _member(
-    archive: zipfile.ZipFile, member: zipfile.ZipInfo, name: str
-) -> npt.NDArray[np.generic]:
+def _member(archive: zipfile.ZipFile, member: zipfile.ZipInfo, name: str) -> AnyArray:
     place = f"array {ascii(name)[:40]}"
     try:
         if member.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
@@ -150,5 +155,10 @@ def _member(
 
 def _shape(shape: tuple[int, ...]) -> str:
     # A header may state any number of sides, of any size: the text is bounded.
-    sides = [str(side) if side < 1 << 40 else "2**40.." for side in shape[:8]]
+    sides = []
+    for side in shape[:8]:
+        text = "2**40.."
+        if side < 1 << 40:
+            text = str(side)
+        sides.append(text)
     return " x ".join(sides) or "one"

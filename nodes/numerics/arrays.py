@@ -5,25 +5,23 @@ from __future__ import annotations
 import hashlib
 import sys
 from collections.abc import Callable
-from typing import Any, TypeAlias, TypeVar
+from typing import Any, TypeVar
 from weakref import WeakValueDictionary
 
 import numpy as np
 import numpy.typing as npt
 
-Floats: TypeAlias = npt.NDArray[np.float32]
-"""Frames, measurements and coefficients."""
-Doubles: TypeAlias = npt.NDArray[np.float64]
-"""Whatever is computed once, or in mechanics."""
-Indices: TypeAlias = npt.NDArray[np.intp]
-Mask: TypeAlias = npt.NDArray[np.bool_]
-"""One bool a taxel (True where it exists, unless stated otherwise) or a measurement."""
+from sparseskin.messages.arrays import AnyArray as AnyArray
+from sparseskin.messages.arrays import Bytes as Bytes
+from sparseskin.messages.arrays import Doubles as Doubles
+from sparseskin.messages.arrays import Floats as Floats
+from sparseskin.messages.arrays import Indices as Indices
+from sparseskin.messages.arrays import Integers as Integers
+from sparseskin.messages.arrays import Mask as Mask
 
 TINY = 1e-30
 """Added to a divisor that can be 0, or the least of it: far below the squares of float32 forces
 that differ from 0, so that no other quotient changes."""
-
-
 LARGEST = 1e30
 """Largest size of a force: sums of 256 are within float32."""
 
@@ -83,7 +81,7 @@ def each_frame(
     return out
 
 
-_Table = TypeVar("_Table", bound=npt.NDArray[Any])
+_Table = TypeVar("_Table", bound=AnyArray)
 _TABLES: WeakValueDictionary[tuple[Any, ...], Any] = WeakValueDictionary()
 
 
@@ -91,12 +89,13 @@ def shared(table: _Table) -> _Table:
     """The one array that stands for all equal ones, while it is used: the tables of patches that
     are alike take memory, and cache, once. It must not be modified.
     """
-    key = table.dtype, table.shape, hashlib.sha256(table.tobytes()).digest()
+    digest = hashlib.sha256(table.tobytes()).digest()
+    key = table.dtype, table.shape, digest
     first_alike: _Table = _TABLES.setdefault(key, table)
     return first_alike
 
 
-def edged(field: npt.NDArray[Any]) -> npt.NDArray[Any]:
+def edged(field: AnyArray) -> AnyArray:
     """A field, (n_rows, n_cols), within an edge of zeros: (n_rows + 2, n_cols + 2)."""
     n_rows, n_cols = field.shape
     # A tenth of the time of np.pad.
@@ -105,15 +104,16 @@ def edged(field: npt.NDArray[Any]) -> npt.NDArray[Any]:
     return padded
 
 
-def of_nine(field: npt.NDArray[Any], combine: np.ufunc) -> npt.NDArray[Any]:
+def of_nine(field: AnyArray, combine: np.ufunc) -> AnyArray:
     """Each cell and its eight neighbours, combined: an array as `field`, (n_rows, n_cols); beyond
     the edge is 0.
     """
     padded = edged(field)
-    rows = combine(combine(padded[:-2], padded[1:-1]), padded[2:])
-    combined: npt.NDArray[Any] = combine(
-        combine(rows[:, :-2], rows[:, 1:-1]), rows[:, 2:]
-    )
+    # Rows, then columns: four operations a cell in place of eight.
+    upper_two = combine(padded[:-2], padded[1:-1])
+    rows = combine(upper_two, padded[2:])
+    left_two = combine(rows[:, :-2], rows[:, 1:-1])
+    combined: AnyArray = combine(left_two, rows[:, 2:])
     return combined
 
 
@@ -121,7 +121,8 @@ def mean_of_near(values: Floats, is_known: Mask) -> Floats:
     """Mean of the known values of each cell and its eight neighbours, 0 where none is known:
     float32 and bool (n_rows, n_cols) to float32.
     """
+    known_values = np.where(is_known, values, np.float32(0))
+    sums = of_nine(known_values, np.add)
     n_known = of_nine(is_known.astype(np.float32), np.add)
-    sums = of_nine(np.where(is_known, values, np.float32(0)), np.add)
-    means: Floats = sums / np.maximum(n_known, 1)
+    means: Floats = np.divide(sums, np.maximum(n_known, 1))
     return means

@@ -483,6 +483,7 @@ def fista(
         for p in range(deal.size):
             v[p] = z[deal[p]]
         hadamard(v, groups)
+        # `keep` is 0 where a row is read.
         for p in range(v.size):
             v[p] = v[p] * keep[p] + measured[p]
         hadamard(v, groups)
@@ -520,7 +521,9 @@ def sum_bands(image: A, begin: Any, width: int, n_columns: Any, bands: A) -> Non
         sums = bands[band * n_columns :][:n_columns]
         for j in range(n_columns):
             sums[j] = upper[j] + middle[j] + lower[j]
-            peaks[j] = max(peaks[j], max(upper[j], max(middle[j], lower[j])))
+            of_lower = max(middle[j], lower[j])
+            peak = max(upper[j], of_lower)
+            peaks[j] = max(peaks[j], peak)
 
 
 @compiled()
@@ -540,7 +543,9 @@ def standing_out(bands: A, n_columns: Any, column: Any, limits: Limits) -> Any:
         b = sums[3] + sums[4] + sums[5]
         c = sums[6] + sums[7] + sums[8]
         d = sums[9] + sums[10] + sums[11]
-        of_thirds = max(max(of_thirds, max(a, b)), max(c, d))
+        of_left = max(a, b)
+        of_right = max(c, d)
+        of_thirds = max(max(of_thirds, of_left), of_right)
 
         # Squares of 6 x 6, of two bands each.
         left_half += a + b
@@ -560,7 +565,8 @@ def standing_out(bands: A, n_columns: Any, column: Any, limits: Limits) -> Any:
     excess: Any = max(highest / limits.single, of_thirds / (3 * limits.by_3))
     excess = max(excess, of_sixths / (6 * limits.by_6))
     excess = max(excess, whole / (12 * limits.whole))
-    return np.float32(min(max((excess - 1) / (limits.clearly - 1), 0.0), 1.0))
+    part = (excess - 1) / (limits.clearly - 1)
+    return np.float32(min(max(part, 0.0), 1.0))
 
 
 @compiled(sums_in_any_order=True)
@@ -576,8 +582,9 @@ def haar_shrink(w: A, limits: Limits, sums: A, details: A) -> None:
     n_tiles = w.shape[0]
     # A tile is the middle of its window of 12 x 12.
     for p in range(64):
+        place = 12 * (p // 8 + 2) + p % 8 + 2
         for t in range(n_tiles):
-            sums[p, t] = w[t, 12 * (p // 8 + 2) + p % 8 + 2]
+            sums[p, t] = w[t, place]
     error = details[64][:n_tiles]
     for t in range(n_tiles):
         error[t] = _0
@@ -683,9 +690,10 @@ def compare(
     change = _0
     for i in range(values.size):
         measurement = y[order[i]]
+        last_measurement = last_y[order[i]]
         squares += np.float64(measurement) ** 2
         largest = max(largest, abs(measurement))
-        change = max(change, abs(measurement - last_y[order[i]]))
+        change = max(change, abs(measurement - last_measurement))
         values[i] = measurement - bias * ones[i]
     return squares, np.float64(largest), np.float64(change)
 
@@ -712,11 +720,13 @@ def doubt_values(
     squares = np.empty(read.size)
     for i in range(read.size):
         number = block[i]
-        square = np.float64(values[i] - x_rows[read[i]]) ** 2
+        unexpected = values[i] - x_rows[read[i]]
+        square = np.float64(unexpected) ** 2
         squares[i] = square
         count[number] += 1
         total[number] += square
-        second[number] = max(second[number], min(square, largest[number]))
+        lesser = min(square, largest[number])
+        second[number] = max(second[number], lesser)
         largest[number] = max(largest[number], square)
 
     expected = np.empty(read.size)
@@ -816,11 +826,13 @@ def skin_begin(
         orthonormal(of_rows, transform.groups, transform.scale)
 
     largest = _0
-    energy = 0.0
     for p in range(n):
         largest = max(largest, x[p])
+    # Not in the same loop: of float32 alone, the largest of several numbers is found at once.
+    energy = 0.0
     for p in range(n):
-        energy += np.float64(x[p]) * np.float64(x[p])
+        force = np.float64(x[p])
+        energy += force * force
 
     comparison = (squares / measured.values.size, largest_y, change_y)
     sums = motion_sums(measured, estimate, slopes.of_rows[0], slopes.of_rows[1])
@@ -841,7 +853,8 @@ def confirmed_part(
     squares = 0.0
     # A row counts less the more it moves beyond the others: sums of blocks are wrong together.
     for i in range(motion.size):
-        weighted = motion[i] * (mean_square / (mean_square + motion[i] * motion[i]))
+        square = motion[i] * motion[i]
+        weighted = motion[i] * (mean_square / (mean_square + square))
         products += np.float64(weighted * unexpected[i])
         squares += np.float64(weighted * motion[i])
     sums *= constants.motion_memory
@@ -877,9 +890,10 @@ def move_means(
     for i in range(read.size):
         r = read[i]
         if variance[r] + change[r] < unknown:
+            certain = _1 - doubt[i]
             grown[i] = growth * x_rows[r]
             translated[i] = (predicted_rows[r] - x_rows[r]) - grown[i]
-            unexpected[i] = (_1 - doubt[i]) * (values[i] - mean[r])
+            unexpected[i] = certain * (values[i] - mean[r])
 
     confirmed = filters.confirmed
     growth_part = confirmed_part(confirmed[:2], grown, unexpected, constants)
@@ -912,7 +926,8 @@ def filter_sums(
         expected = variance[r] + change[r]
         if expected < limit:
             n_known += 1
-            unexpected = (_1 - doubt[i]) * (values[i] - mean[r])
+            certain = _1 - doubt[i]
+            unexpected = certain * (values[i] - mean[r])
             filter_squares += np.float64(unexpected) ** 2
             filter_variances += expected
     return n_known, filter_squares, filter_variances
@@ -937,7 +952,9 @@ def noise_squares(measured: Measured, squares: float) -> float:
         change_squares += change * change
         last_squares += np.float64(last[i]) ** 2
 
-    part = min(max(along_change / (change_squares + TINY), 0.0), 1.0)
+    # What fell in proportion to the change of the prediction was no noise.
+    regression = along_change / (change_squares + TINY)
+    part = min(max(regression, 0.0), 1.0)
     of_last = 0.0
     of_new = 0.0
     for i in range(new.size):
@@ -945,7 +962,8 @@ def noise_squares(measured: Measured, squares: float) -> float:
         fall = np.float64(last[i] - new[i]) - part * change
         of_last += np.float64(last[i]) * fall
         of_new -= np.float64(new[i]) * fall
-    return (squares * of_last + last_squares * of_new) / (squares + last_squares + TINY)
+    weighted = squares * of_last + last_squares * of_new
+    return weighted / (squares + last_squares + TINY)
 
 
 @entry(sums_in_any_order=True)
@@ -972,7 +990,10 @@ def skin_predict(
     bound = np.float32(motion.bound)
     predicted = prediction.x
     for p in range(n):
-        moved = x[p] + (growth * x[p] + down * down_slope[p] + across * across_slope[p])
+        motion_of_force = (
+            growth * x[p] + down * down_slope[p] + across * across_slope[p]
+        )
+        moved = x[p] + motion_of_force
         predicted[p] = min(max(moved, _0), bound)
 
     predicted_rows = prediction.rows
@@ -1077,9 +1098,8 @@ def raise_all(numbers: A, exponent: Any, factor: Any) -> None:
     for p in range(numbers.size):
         q = (numbers[p] - _ROOT_2) / (numbers[p] + _ROOT_2)
         q2 = q * q
-        artanh = q * (
-            _1 + q2 * (_THIRD + q2 * (_FIFTH + q2 * (_SEVENTH + q2 * _NINTH)))
-        )
+        tail = _FIFTH + q2 * (_SEVENTH + q2 * _NINTH)
+        artanh = q * (_1 + q2 * (_THIRD + q2 * tail))
         e = double * artanh
         series = _1 + e * _SIXTH * (_1 + e * _SEVENTH)
         series = _1 + e * _QUARTER * (_1 + e * _FIFTH * series)
@@ -1318,7 +1338,9 @@ def add_own(measured: Measured, tau: Any, factor: Any, part: Any) -> None:
     variance = measured.target_variance
     own = measured.own
     for i in range(own.size):
-        added = factor * (tau / (tau + variance[i])) * (residual[i] - off_target[i])
+        weight = tau / (tau + variance[i])
+        off = residual[i] - off_target[i]
+        added = factor * weight * off
         own[i] += part * (added - own[i])
 
 
@@ -1399,14 +1421,14 @@ def shrink_tiles(
     expected = 0.0
     for b in range(n_busy):
         error = np.float64(details[64, b])
-        expected += shares[busy[b]] * (limits.quiet + parts[b] * (error - limits.quiet))
+        error_of_tile = limits.quiet + parts[b] * (error - limits.quiet)
+        expected += shares[busy[b]] * error_of_tile
         # Only the middle of a window is denoised: its margin is two cells wide.
         begin = begins[busy[b]] + 2 * width + 2
         for i in range(8):
             for j in range(8):
-                denoised[begin + i * width + j] = (
-                    s * parts[b] * max(sums[8 * i + j, b], _0)
-                )
+                force = max(sums[8 * i + j, b], _0)
+                denoised[begin + i * width + j] = s * parts[b] * force
     return expected
 
 
@@ -1423,7 +1445,8 @@ def hidden_units(weights: Weights, scratch: StepScratch, n_busy: int) -> None:
         sizes = levels[b, k:]
         # A loop without choices: its roots are computed several at once.
         for j in range(sizes.size):
-            sizes[j] = _4 * (np.sqrt(np.sqrt(_1 + abs(of_window[j]))) - _1)
+            fourth_root = np.sqrt(np.sqrt(_1 + abs(of_window[j])))
+            sizes[j] = _4 * (fourth_root - _1)
         for j in range(k):
             levels[b, j] = sizes[j] if of_window[j] >= 0 else -sizes[j]
 
@@ -1465,14 +1488,17 @@ def gate_tiles(
         log_error = weights.error_0
         for j in range(h.shape[1]):
             log_error += h[b, j] * error[j]
-        error2 = np.exp(min(max(log_error, -12.0), 0.0))
-        expected += shares[busy[b]] * (quiet + parts[b] * (error2 - quiet))
+        bounded = min(max(log_error, -12.0), 0.0)
+        error2 = np.exp(bounded)
+        error_of_tile = quiet + parts[b] * (error2 - quiet)
+        expected += shares[busy[b]] * error_of_tile
 
         # What passes as it is needs no coefficients: the gates are those of the rest.
         passed = min(max(g[b, k] + gates_0[k], _0), _1)
         g[b, k] = passed
         for j in range(k):
-            a[b, j] *= min(max(g[b, j] + gates_0[j], _0), _1) - passed
+            gate = min(max(g[b, j] + gates_0[j], _0), _1)
+            a[b, j] *= gate - passed
 
     denoised = scratch.denoised
     filtered = scratch.tiles[:n_busy]
@@ -1480,9 +1506,10 @@ def gate_tiles(
     np.dot(a, weights.synthesis, filtered)
     for b in range(n_busy):
         begin = begins[busy[b]] + 2 * width + 2
+        passed = g[b, k]
         for i in range(8):
             for j in range(8):
-                inner = g[b, k] * w[b, 12 * (i + 2) + j + 2]
+                inner = passed * w[b, 12 * (i + 2) + j + 2]
                 force = max(filtered[b, 8 * i + j] + inner, _0)
                 denoised[begin + i * width + j] = s * parts[b] * force
     return expected
@@ -1498,7 +1525,8 @@ def move_iterate(iterates: Iterates, x: A, alpha: Any, damping: Any, part: Any) 
     mean = iterates.mean
     per_free = _1 / (_1 - alpha)
     for p in range(z.size):
-        z[p] += damping * ((x[p] - alpha * u[p]) * per_free - z[p])
+        free = (x[p] - alpha * u[p]) * per_free
+        z[p] += damping * (free - z[p])
         mean[p] += part * (x[p] - mean[p])
 
 
@@ -1509,7 +1537,8 @@ def weight_of(k: int, residual2: float, plan: Plan, constants: StepConstants) ->
     """
     if k < plan.n_formula:
         return 0.0
-    rising = (k + 1 - plan.n_formula) / max(1.0, plan.n + 1 - constants.fully_averaged)
+    n_rising = max(1.0, plan.n + 1 - constants.fully_averaged)
+    rising = (k + 1 - plan.n_formula) / n_rising
     rise = min(rising, 1.0) ** constants.rise_power
     weight: float = rise / (residual2 + plan.floor) ** constants.residual_power
     return weight
@@ -1577,7 +1606,8 @@ def skin_step(
 
     # Error variance of z, seen by the rows read.
     least_tau = constants.least_tau * max(off2, plan.target_variance)
-    tau = np.float32(max(off2 - plan.target_variance, least_tau) + plan.floor)
+    error_variance = max(off2 - plan.target_variance, least_tau)
+    tau = np.float32(error_variance + plan.floor)
     s, per_weight = linear_estimate(z, inputs.transform, targets, tau, plan.floor, u, v)
 
     # Tiles in which nothing stands out have no force.
@@ -1644,7 +1674,8 @@ def skin_steps(
         is_by_formula = k < plan.n_formula
         n_tiles += n_busy // inputs.constants.formula_share if is_by_formula else n_busy
         k += 1
-    return means.expected2, means.residual2, plan.n_formula, k - plan.n_formula, n_tiles
+    n_by_weights = k - plan.n_formula
+    return means.expected2, means.residual2, plan.n_formula, n_by_weights, n_tiles
 
 
 @compiled(sums_in_any_order=True)
@@ -1760,7 +1791,8 @@ def skin_variance(forces: V, noise: NoiseCurve) -> Any:
     total = _0
     for p in range(forces.size):
         force = forces[p]
-        sigma = middle + rise * min(abs(per_force * force - _1), _1)
+        from_middle = abs(per_force * force - _1)
+        sigma = middle + rise * min(from_middle, _1)
         variance = sigma * sigma * min(clipped + slope * force, _1)
         total += variance if force > untouched else _0
     return np.float64(total) / forces.size
@@ -1875,8 +1907,9 @@ def component_moments(
             off = places[d, p] - sums[3 + d, c]
             sums[4 + k + d, c] += variances[p] * off * off
     for c in range(n):
+        total2 = sums[0, c] ** 2
         for d in range(k):
-            sums[4 + k + d, c] /= sums[0, c] ** 2
+            sums[4 + k + d, c] /= total2
 
 
 @entry()
@@ -1895,6 +1928,7 @@ def components(
     flat = forces.reshape(-1)
     index = np.empty(flat.size, np.int64)
     labels = np.full(flat.size, -1, np.int32)
+    # No two labels begin within the same 2 x 2 cells: these are neighbours.
     bound = ((n_rows + 1) // 2) * ((n_cols + 1) // 2)
     parents = np.empty(bound, np.int64)
     is_kept = np.zeros(bound, np.bool_)

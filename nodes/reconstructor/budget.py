@@ -61,7 +61,10 @@ class TileCosts(NamedTuple):
     def times(self, budget_s: float) -> tuple[int, int]:
         """Times of the steps of a frame and of a step, in that of a tile, as of `use_times`."""
         left_s = max(budget_s - self.frame_s, self.tile_s)
-        return int(left_s / self.tile_s), math.ceil(self.step_s / self.tile_s)
+        # Rounded so that the times of steps are never too short.
+        frame_tiles = int(left_s / self.tile_s)
+        step_tiles = math.ceil(self.step_s / self.tile_s)
+        return frame_tiles, step_tiles
 
     def of(self, n_steps: int, n_tiles: int) -> float:
         """Time of a frame of so many steps and, in all of them, tiles; seconds."""
@@ -115,7 +118,8 @@ def tile_costs(solver: CountsTiles, phi: Phi, f_max: float) -> TileCosts:
     rng = np.random.default_rng(0)
     n_steps = solver.n_steps
     n_fewer = max(n_steps // 3, 1)
-    pressed = phi.forward(rng.uniform(0, f_max, (N_OF_TILES, phi.n)).astype(np.float32))
+    forces = rng.uniform(0, f_max, (N_OF_TILES, phi.n))
+    pressed = phi.forward(forces.astype(np.float32))
     untouched = np.zeros(phi.m, dtype=np.float32)
 
     # In turn: what else runs on the host slows down all of them.
@@ -141,7 +145,8 @@ def tile_costs(solver: CountsTiles, phi: Phi, f_max: float) -> TileCosts:
         n_between -= N_FORMULA
     step_s = max(untouched_s - fewer_s, 0.0) / max(n_between, 1)
     tile_s = max(pressed_s - untouched_s, LEAST_S) / max(n_tiles, 1)
-    return TileCosts(max(untouched_s - n_steps * step_s, 0.0), step_s, tile_s)
+    frame_s = max(untouched_s - n_steps * step_s, 0.0)
+    return TileCosts(frame_s, step_s, tile_s)
 
 
 def _time_of(solver: CountsTiles, phi: Phi, y: Floats, n_steps: int) -> float:
@@ -167,9 +172,11 @@ def measured_costs(
     least_step_s = math.inf
     begin_s = time.perf_counter()
     for k in range(n_first + N_TIMED):
-        y = phi.forward(rng.uniform(0, f_max, phi.n).astype(np.float32))
+        forces = rng.uniform(0, f_max, phi.n)
+        y = phi.forward(forces.astype(np.float32))
         if getattr(solver, "subsets", ()):
             solver.use(phi)
+
         setup_s = time.perf_counter()
         solver.setup(y)
         steps_s = time.perf_counter()
@@ -178,9 +185,12 @@ def measured_costs(
         finish_s = time.perf_counter()
         solver.finish()
         end_s = time.perf_counter()
+        # The first ones fill memory and caches.
         if k < n_first:
             continue
-        least_frame_s = min(least_frame_s, steps_s - setup_s + end_s - finish_s)
+
+        frame_s = steps_s - setup_s + end_s - finish_s
+        least_frame_s = min(least_frame_s, frame_s)
         step_s = (finish_s - steps_s) / max(solver.n_steps, 1)
         least_step_s = min(least_step_s, step_s)
         if end_s > begin_s + ENOUGH_S:

@@ -8,13 +8,12 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 from scipy.optimize import linear_sum_assignment
 
 from sparseskin.messages import SkinState
 from sparseskin.messages.contacts import BEGIN, END, OVER, SLIDE, TOUCH
 from sparseskin.messages.skin import CONTACT_FRACTION
-from sparseskin.nodes.numerics.arrays import Doubles, Floats, Indices
+from sparseskin.nodes.numerics.arrays import Doubles, Floats, Indices, Integers
 
 from .contacts import HELD, ContactFinder, Found, Limits
 from .first_touch import UNKNOWN, Touch
@@ -49,11 +48,14 @@ class Tracks:
         # As in nearly all frames.
         if ids == self.ids:
             return self
-        tracks = Tracks(ids, np.zeros((3 + 2 * len(places), len(ids))))
+        # Age and two flags, then velocities and places.
+        n_rows = 3 + 2 * len(places)
+        tracks = Tracks(ids, np.zeros((n_rows, len(ids))))
         tracks.places[:] = places
         for k, contact_id in enumerate(ids):
             if contact_id in self.ids:
-                tracks.state[:, k] = self.state[:, self.ids.index(contact_id)]
+                column = self.ids.index(contact_id)
+                tracks.state[:, k] = self.state[:, column]
         return tracks
 
 
@@ -99,7 +101,8 @@ class ContactTracker:
         self._skin = skin.skin
         self._finder = ContactFinder(self._skin, fast)
         self.set_noise(skin)
-        self._cell_mm2 = np.float32((1e3 * (skin.pitch_m or 0.0)) ** 2)
+        pitch_mm = 1e3 * (skin.pitch_m or 0.0)
+        self._cell_mm2 = np.float32(pitch_mm**2)
         self._tracks = _NO_TRACKS
         #: Of contacts that met: where they were before, by id, by the id of the one that goes on.
         self._apart: dict[int, dict[int, Doubles]] = {}
@@ -108,7 +111,7 @@ class ContactTracker:
         self._n_early = 0
 
     @property
-    def regions(self) -> npt.NDArray[np.int32]:
+    def regions(self) -> Integers:
         """Number of the contact of each cell in the last frame, from 1 on, flat; 0: none."""
         return self._finder.regions
 
@@ -184,16 +187,20 @@ class ContactTracker:
             return self._end()
 
         earlier = self._tracks
-        # Sums are total, area, peak; then row, column, and x, y, z where the skin has places.
-        places = regions.sums[3 : min(8, len(regions.sums) // 2 + 1)]
+        # Sums are total, area, peak; then row, column, and x, y, z where the skin has places; then
+        # normals; and deviations of the total and of each of these.
+        end_of_means = len(regions.sums) // 2 + 1
+        places = regions.sums[3 : min(8, end_of_means)]
         ids = self._ids(regions, places)
         for k, contact_id in enumerate(ids):
             if not contact_id:
                 self._last_id += 1
                 ids[k] = self._last_id
         # A part that leaves a merged contact begins again, too.
-        events = [(begun, BEGIN) for begun in ids if begun not in earlier.ids]
-        events += [(ended, END) for ended in earlier.ids if ended not in ids]
+        begun = [contact_id for contact_id in ids if contact_id not in earlier.ids]
+        ended = [contact_id for contact_id in earlier.ids if contact_id not in ids]
+        events = [(contact_id, BEGIN) for contact_id in begun]
+        events += [(contact_id, END) for contact_id in ended]
 
         # A recording that is played again may go back in time: no contact gets younger.
         earlier.age_s += max(0.0, elapsed_s)
@@ -207,7 +214,8 @@ class ContactTracker:
             events += [(ids[k], OVER) for k in begins]
         # The last three velocities are in mm/s; without a pitch there are two, in taxels/s.
         if not math.isinf(limits.slide):
-            speeds = np.linalg.norm(tracks.velocities[-3:], axis=0)
+            velocities = tracks.velocities[-3:]
+            speeds = np.linalg.norm(velocities, axis=0)
             begins = _switch(tracks.sliding, speeds, limits.slide)
             events += [(ids[k], SLIDE) for k in begins]
 
@@ -263,15 +271,20 @@ class ContactTracker:
         gone = [q for q in range(len(tracks.ids)) if q not in overlapped]
         spots = [tracks.places[:2, q] for q in gone]
         for k, q, distance in _nearest(alone, places, spots):
-            if distance <= GATE + math.sqrt(regions.sums[1, k]):
+            # A large one moves as far in its own size.
+            side = math.sqrt(regions.sums[1, k])
+            if distance <= GATE + side:
                 ids[k] = tracks.ids[gone[q]]
         return ids
 
     def _meet_and_part(self, overlap: Indices, ids: list[int], places: Doubles) -> None:
         """Set the ids of contacts of which some overlap with several, or are overlapped by some."""
         tracks = self._tracks
-        for k, q in zip(*linear_sum_assignment(overlap, maximize=True), strict=True):
-            ids[k] = tracks.ids[q] if overlap[k, q] else 0
+        pairs = linear_sum_assignment(overlap, maximize=True)
+        for k, q in zip(*pairs, strict=True):
+            # Of more contacts than overlap, some are paired all the same.
+            if overlap[k, q]:
+                ids[k] = tracks.ids[q]
 
         # Contacts that had met part: the one that went on, and new ones where it was.
         for q, merged in enumerate(tracks.ids):
@@ -287,10 +300,12 @@ class ContactTracker:
         # Others meet: one goes on, and keeps the places of both, and of those they had met.
         for q, met in enumerate(tracks.ids):
             into = int(overlap[:, q].argmax())
-            if met in ids or not overlap[into, q] or ids[into] not in tracks.ids:
-                continue
             merged = ids[into]
-            place = tracks.places[:2, tracks.ids.index(merged)]
+            meets = overlap[into, q] > 0 and merged in tracks.ids
+            if met in ids or not meets:
+                continue
+            column = tracks.ids.index(merged)
+            place = tracks.places[:2, column]
             places_of_parts = self._apart.setdefault(merged, {})
             places_of_parts.setdefault(merged, place)
             places_of_parts[met] = tracks.places[:2, q]
@@ -316,9 +331,11 @@ class ContactTracker:
         """Fields of the message."""
         # One conversion of all numbers: of a few contacts each call takes as long as the numbers.
         n = len(sums)
-        floats = np.concatenate([sums, self._tracks.state]).astype(np.float32)
-        means = floats[3 : n // 2 + 1]
-        deviations = floats[n // 2 + 1 : n]
+        end_of_means = n // 2 + 1
+        doubles = np.concatenate([sums, self._tracks.state])
+        floats = doubles.astype(np.float32)
+        means = floats[3:end_of_means]
+        deviations = floats[end_of_means:n]
         age_s, over, sliding = floats[n : n + 3]
         velocities = floats[n + 3 :]
         fields: dict[str, Any] = {
@@ -359,21 +376,27 @@ def _nearest(
     contacts: Sequence[int], places: Doubles, spots: Sequence[Doubles]
 ) -> Iterator[tuple[int, int, float]]:
     """Pairs of contacts and spots that are nearest in sum, and each distance, in taxels."""
-    if contacts and spots:
-        targets = [spot.tolist() for spot in spots]
-        distances = [
-            [math.dist(places[:2, k], target) for target in targets] for k in contacts
-        ]
-        for k, q in zip(*linear_sum_assignment(distances), strict=True):
-            yield contacts[k], q, distances[k][q]
+    if not contacts or not spots:
+        return
+    targets = [spot.tolist() for spot in spots]
+    distances = []
+    for k in contacts:
+        centre = places[:2, k]
+        distances.append([math.dist(centre, target) for target in targets])
+    pairs = linear_sum_assignment(distances)
+    for row, q in zip(*pairs, strict=True):
+        yield contacts[row], q, distances[row][q]
 
 
 def _switch(state: Doubles, values: Doubles, limit: float) -> Iterator[int]:
     """Update the state of an event, with hysteresis; yield the contacts where it begins."""
-    for k, (was, value) in enumerate(zip(state.tolist(), values.tolist(), strict=True)):
-        bound = HELD * limit if was else limit
+    was_on = state.tolist()
+    for k, value in enumerate(values.tolist()):
+        bound = limit
+        if was_on[k]:
+            bound = HELD * limit
         state[k] = value > bound
-        if state[k] > was:
+        if state[k] and not was_on[k]:
             yield k
 
 

@@ -8,7 +8,6 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
 from sparseskin.messages.errors import MessageError
 from sparseskin.messages.skin import Skin
@@ -19,6 +18,7 @@ from sparseskin.nodes.numerics.arrays import (
     Doubles,
     Floats,
     Indices,
+    Integers,
     Mask,
     real_floats,
 )
@@ -163,7 +163,9 @@ class ContactFinder:
             self.regions,
             n_before,
         )
-        waited = set() if waiting is None else set(labels[waiting[index]].tolist())
+        waited: set[int] = set()
+        if waiting is not None:
+            waited.update(labels[waiting[index]].tolist())
         contacts, candidates = _contacts_among(sums, overlap, high, limits, waited)
         if len(contacts) < sums.shape[1]:
             self._leave_out(index, labels, contacts, candidates, sums.shape[1])
@@ -177,18 +179,26 @@ class ContactFinder:
         # skin is larger in the taxels that are not 0, as the others have none.
         scale = 1.0
         if sd is None:
-            share = self._n_taxels / n_above if is_mean else 1.0
-            scale = SD_SCALE**2 * share * error**2
-        # Variances become standard deviations, of which an error that all forces share adds to
-        # that of the total; then normals become unit vectors.
+            scale = SD_SCALE**2
+            if is_mean:
+                scale *= self._n_taxels / n_above
+            scale *= error**2
+        self._complete(sums, scale, common)
+        return Found(sums, overlap)
+
+    def _complete(self, sums: Doubles, scale: float, common: float) -> None:
+        """Turn variances, times a scale, into standard deviations, of which an error that all
+        forces share adds to that of the total; and normals into unit vectors.
+        """
         variance_row = 3 + len(self._places)
         deviations = sums[variance_row:]
         np.sqrt(scale * deviations, out=deviations)
         np.hypot(deviations[0], common * sums[0], out=deviations[0])
         if variance_row > 8:
             normals = sums[8:variance_row]
-            normals /= np.maximum(np.linalg.norm(normals, axis=0), 1e-12)
-        return Found(sums, overlap)
+            lengths = np.linalg.norm(normals, axis=0)
+            # Those of a surface that turns within a contact may cancel.
+            normals /= np.maximum(lengths, 1e-12)
 
     def expect(self) -> None:
         """Let contacts of the next frame begin at once: their measurements show a touch."""
@@ -207,16 +217,18 @@ class ContactFinder:
         number_of_component[contacts] = np.arange(1, len(contacts) + 1)
         self.regions[index] = number_of_component[labels]
         if candidates:
+            waits = np.isin(labels, candidates)
             self._waiting = np.zeros(self.regions.size, dtype=np.bool_)
-            self._waiting[index[np.isin(labels, candidates)]] = True
+            self._waiting[index[waits]] = True
 
 
 def _places_of(skin: Skin) -> Doubles:
     """Row and column of each cell; then x, y, z in mm, where they are known; then the normal, of a
     skin of points.
     """
-    cells = np.divmod(np.arange(skin.n_rows * skin.n_cols), skin.n_cols)
-    places = np.array(cells, dtype=np.float64)
+    numbers = np.arange(skin.n_rows * skin.n_cols)
+    rows_and_cols = np.divmod(numbers, skin.n_cols)
+    places = np.array(rows_and_cols, dtype=np.float64)
     if skin.points is not None:
         points = np.zeros((6, places.shape[1]))
         points[:, skin.exists.reshape(-1)] = skin.points.T
@@ -225,7 +237,8 @@ def _places_of(skin: Skin) -> Doubles:
     if skin.pitch_m is not None:
         # x runs along the columns, y along the rows.
         x_y = 1e3 * skin.pitch_m * places[::-1]
-        return np.concatenate([places, x_y, np.zeros_like(x_y[:1])])
+        z = np.zeros_like(x_y[:1])
+        return np.concatenate([places, x_y, z])
     return places
 
 
@@ -237,9 +250,10 @@ def _contacts_among(
     `sums` and `overlap` as of `components`; `waited`: the candidates of the frame before.
     """
     # Each contact of the frame before goes on in the component that it overlaps with most.
-    continued = {
-        column.index(max(column)) for column in overlap.T.tolist() if any(column)
-    }
+    continued = set()
+    for of_earlier in overlap.T.tolist():
+        if any(of_earlier):
+            continued.add(of_earlier.index(max(of_earlier)))
     # What goes on needs half of the force alone, so that a contact at the limit does not flicker.
     contacts = []
     candidates = []
@@ -260,7 +274,7 @@ def components(
     high: float,
     variances: Floats,
     places: Doubles,
-    regions: npt.NDArray[np.int32],
+    regions: Integers,
     n_regions: int,
 ) -> Components:
     """Connected components of the taxels above `low` of which one exceeds `high`, or lies in an
@@ -277,12 +291,14 @@ def components(
 
     grid, n = ndimage.label(forces > low, NEIGHBOURS)
     index = np.flatnonzero(grid)
+    n_above = int(index.size)
     labels = grid.reshape(-1)[index].astype(np.intp) - 1
     peak = np.zeros(n)
     np.maximum.at(peak, labels, forces.reshape(-1)[index])
 
     # Components that are neither high enough nor in an earlier region are left out.
-    is_contact = (peak > high) | (np.bincount(labels, regions[index], n) > 0)
+    in_earlier = np.bincount(labels, regions[index], n) > 0
+    is_contact = (peak > high) | in_earlier
     number_of_component = np.cumsum(is_contact) - 1
     is_in_contact = is_contact[labels]
     index = index[is_in_contact]
@@ -297,9 +313,11 @@ def components(
     def summed(numbers: Doubles) -> Doubles:
         return np.array([np.bincount(labels, row, n) for row in numbers])
 
-    total, area, variance = summed(np.stack([values, np.ones(index.size), of_each]))
+    ones = np.ones(index.size)
+    total, area, variance = summed(np.stack([values, ones, of_each]))
     means = summed(values * places_of_taxels) / total
-    squared_lever = np.square(places_of_taxels - means[:, labels])
+    lever = places_of_taxels - means[:, labels]
+    squared_lever = np.square(lever)
     spread = summed(of_each * squared_lever) / total**2
 
     # A column for each region, of which 0 is none.
@@ -310,7 +328,7 @@ def components(
     regions.fill(0)
     regions[index] = labels + 1
     sums = np.stack([total, area, peak, *means, variance, *spread])
-    return index, labels, sums, overlap, int(np.count_nonzero(grid))
+    return index, labels, sums, overlap, n_above
 
 
 @checked(SolverError)
@@ -366,8 +384,8 @@ def find_contacts(
     """
     # Not `>`: NaN is no force, either.
     forces = real_floats(forces, "find_contacts: forces", SolverError)
-    is_frame = forces.ndim == 2 and bool((np.abs(forces) <= LARGEST).all())
-    if not is_frame or not error > 0:
+    is_finite = bool((np.abs(forces) <= LARGEST).all())
+    if forces.ndim != 2 or not is_finite or not error > 0:
         raise SolverError(
             f"find_contacts: forces of shape {forces.shape} and error {error:g}; allowed: forces "
             f"of shape (n_rows, n_cols) within +-{LARGEST:g}, and an error above 0"

@@ -89,9 +89,10 @@ class TouchTest:
         if skin.clips_noise:
             mean = CLIPPED_MEAN * skin.sigma_end
             variance *= CLIPPED
-        readings = np.full(phis[0].n, mean, dtype=np.float32)
         self.variance = variance
-        self.expected = np.stack([phi.forward(readings) for phi in phis])
+        readings = np.full(phis[0].n, mean, dtype=np.float32)
+        expected = [phi.forward(readings) for phi in phis]
+        self.expected = np.stack(expected)
         untouched = np.zeros((1, skin.n_rows, skin.n_cols), dtype=np.float32)
         self.bounds = self.departures.bounds(untouched)
 
@@ -150,8 +151,13 @@ class TouchWatch:
 
         is_touch = self._alarm(subset, y, step)
         was_touched = self._touched
-        self._n_calm = 0 if is_touch else self._n_calm + 1
-        self._n_touched = self._n_touched + 1 if was_touched else 0
+        self._n_calm += 1
+        if is_touch:
+            self._n_calm = 0
+        self._n_touched += 1
+        if not was_touched:
+            self._n_touched = 0
+        # So long without a contact: what was stated of untouched readings is no longer so.
         if self._n_touched >= ALONE * self.test.span:
             self._restart()
             return
@@ -181,7 +187,8 @@ class TouchWatch:
         """True if noise does not explain the measurements of a frame."""
         test = self.test
         departures = test.departures
-        difference = (y - self._reference[subset])[np.newaxis]
+        change = y - self._reference[subset]
+        difference = change[np.newaxis]
         # The error of rounding is nearly uniform.
         noise = test.variance / (test.variance + step**2 / 12)
         scores = departures.scores(difference, subset)
@@ -212,7 +219,8 @@ class TouchWatch:
         """Add a frame to the reference."""
         n = self._n_learnt[subset] + 1
         self._n_learnt[subset] = n
-        self._reference[subset] += (y - self._reference[subset]) / n
+        change = y - self._reference[subset]
+        self._reference[subset] += change / n
         if min(self._n_learnt) >= LEARNT:
             self._n_learnt = []
             self._noise = np.full(1, 1 / LEARNT)

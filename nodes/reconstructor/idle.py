@@ -8,7 +8,7 @@ forces.
 Their false alarms are `FALSE_ALARMS` a frame in all, if the noise is as stated. An alarm costs one
 solve; two in a row end the idle state. A patch is idle once the reference of each subset is a mean
 of `REFERENCE` frames, and is solved all the same every `REFRESH` frames, so that no contact is
-missed for longer. Skins that state no noise are always solved.
+missed for longer. A skin has to state its noise.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from sparseskin.messages import SkinState
-from sparseskin.nodes.compressor.departures import Bounds, Departures, Windows
+from sparseskin.nodes.compressor.departures import Departures, Windows
 from sparseskin.nodes.compressor.phi.base import Phi
 from sparseskin.nodes.numerics.arrays import Floats, Mask
 
@@ -42,33 +42,29 @@ class IdleWatch:
     n_patches : int
         Number of patches.
     skin : SkinState
-        Skin and noise model of all of them.
+        Skin and noise of all of them; it states noise.
     phis : sequence of Phi
         One a row subset.
     """
 
     def __init__(self, n_patches: int, skin: SkinState, phis: Sequence[Phi]) -> None:
-        self._departures: Departures | None = None
-        n_scores = 1
-        if skin.sigma_end:
-            self._departures = Departures(
-                skin, FALSE_ALARMS, phis, n_windows=N_WINDOWS, most=MOST
-            )
-            n_scores = self._departures.squares.n
-        self._subsets = {phi.fingerprint: k for k, phi in enumerate(phis)}
-        self._windows = Windows(n_patches, n_scores, N_WINDOWS, len(phis))
-        self._bounds = Bounds(
-            np.zeros((n_patches, N_WINDOWS, n_scores), dtype=np.float32),
-            np.zeros((n_patches, 1), dtype=np.float32),
-            np.zeros(n_patches),
+        self._departures = Departures(
+            skin, FALSE_ALARMS, phis, n_windows=N_WINDOWS, most=MOST
         )
-
         n_subsets = len(phis)
-        self._reference = np.zeros((n_subsets, n_patches, phis[0].m), dtype=np.float32)
+        n_scores = self._departures.squares.n
+        self._subsets = {phi.fingerprint: k for k, phi in enumerate(phis)}
+        self._windows = Windows(n_patches, n_scores, N_WINDOWS, n_subsets)
+        self._bounds = self._departures.no_bounds(n_patches)
+
+        #: Mean measurements, and number of frames that they are the mean of.
+        shape = n_subsets, n_patches, phis[0].m
+        self._reference = np.zeros(shape, dtype=np.float32)
         self._n = np.zeros((n_subsets, n_patches), dtype=np.intp)
         self._forces: list[Floats | None] = [None] * n_patches
         #: True where the bounds are those of the forces of a patch.
         self._bounded = np.zeros(n_patches, dtype=np.bool_)
+        #: True where the last frame of an idle patch was an alarm.
         self._struck = np.zeros(n_patches, dtype=np.bool_)
         # They are solved in different frames.
         self._age = np.arange(n_patches) % REFRESH
@@ -89,12 +85,12 @@ class IdleWatch:
         ndarray of bool, shape (n_patches,)
         """
         subset = self._subsets.get(fingerprint)
-        if subset is None or self._departures is None:
+        if subset is None:
             return np.ones(len(y), np.bool_)
         n = self._n[subset]
         alarm = np.zeros(len(y), np.bool_)
         if n.any():
-            alarm = self._alarms(self._departures, subset, y)
+            alarm = self._alarms(subset, y)
 
         # One alarm of an idle patch is solved; with a second one in a row it is no longer idle.
         ends = alarm & (self._struck | ~self.idle)
@@ -102,17 +98,20 @@ class IdleWatch:
         self._restart(ends)
         learns = ~self.idle & ~self._struck
         if learns.any():
-            step = y[learns] - self._reference[subset, learns]
+            change = y[learns] - self._reference[subset, learns]
             n[learns] += 1
-            self._reference[subset, learns] += step / n[learns][:, np.newaxis]
+            n_learnt = n[learns][:, np.newaxis]
+            self._reference[subset, learns] += change / n_learnt
 
         self._age += 1
         due = self._age >= REFRESH
         self._age[due] = 0
         solve: Mask = ~self.idle | self._struck | due
         # The frame that completes the reference is solved, the next one is not.
-        complete = learns & (self._n >= REFERENCE).all(axis=0)
-        self._bounded[complete] = False  # the variances are those of the newest forces
+        has_reference = (self._n >= REFERENCE).all(axis=0)
+        complete = learns & has_reference
+        # The variances are those of the newest forces.
+        self._bounded[complete] = False
         self._windows.restart(complete)
         self.idle |= complete
         return solve
@@ -129,14 +128,21 @@ class IdleWatch:
         self.idle[patches] = False
         self._bounded[patches] = False
 
-    def _alarms(self, departures: Departures, subset: int, y: Floats) -> Mask:
+    def _alarms(self, subset: int, y: Floats) -> Mask:
         """True where measurements depart from the reference of a row subset."""
+        departures = self._departures
         for patch in np.flatnonzero(~self._bounded).tolist():
-            self._set_bounds(departures, patch)
+            forces = self._forces[patch]
+            if forces is not None:
+                bounds = departures.bounds(forces[np.newaxis])
+                self._bounds.put(patch, bounds)
+                self._bounded[patch] = True
+
         n = self._n[subset]
         is_compared = n > 0
         difference = y - self._reference[subset]
         difference[~is_compared] = 0.0
+        # Variance of the reference, in that of a frame.
         noise = 1 / np.maximum(n, 1)
         scores = departures.scores(difference, subset)
         alarms = self._windows.alarms(scores, self._bounds.squares, noise)
@@ -144,14 +150,3 @@ class IdleWatch:
         alarms |= energy > self._bounds.energy * (1 + noise)
         alarms &= is_compared
         return alarms
-
-    def _set_bounds(self, departures: Departures, patch: int) -> None:
-        """Set the bounds of a patch by its last forces."""
-        forces = self._forces[patch]
-        if forces is None:
-            return
-        bounds = departures.bounds(forces[np.newaxis])
-        self._bounds.squares[patch] = bounds.squares
-        self._bounds.weights[patch] = bounds.weights
-        self._bounds.energy[patch] = bounds.energy[0]
-        self._bounded[patch] = True

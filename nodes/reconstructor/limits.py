@@ -82,8 +82,9 @@ def has_rows_of_paper(subsets: Sequence[Phi]) -> bool:
         return False
     (phi,) = subsets
     layout = block_layout(phi)
-    is_of_blocks = layout is not None and layout.blocks is not None
-    return not is_of_blocks or (phi.block, phi.rule) == (PAPER_BLOCK, RANDOM)
+    if layout is None or layout.blocks is None:
+        return True
+    return phi.block == PAPER_BLOCK and phi.rule == RANDOM
 
 
 def check_lambda(solver: str, lambda_n: float, f_max: float, phi: Phi) -> None:
@@ -133,7 +134,8 @@ def check_phi(phi: Phi, mask: Mask) -> list[str]:
     measured = phi.forward(x)
     forth = float(measured @ y)
     back = float(x @ phi.adjoint(y))
-    rounding = 1e-3 * float(np.linalg.norm(measured) * np.linalg.norm(y))
+    scale = np.linalg.norm(measured) * np.linalg.norm(y)
+    rounding = 1e-3 * float(scale)
     if not abs(forth - back) <= rounding:
         raise SolverError(
             f"phi {phi.kind}: adjoint is not the transpose of forward: <Phi x, y> = {forth:.6g} "
@@ -168,14 +170,16 @@ def pad_spread(phi: Phi, mask: Mask, rng: np.random.Generator) -> float:
     """
     sides = np.minimum(PAD_SIDE, mask.shape)
     shares = []
+    n_places = np.array(mask.shape) - sides + 1
     for _ in range(N_PADS):
-        row, col = rng.integers(0, np.array(mask.shape) - sides + 1)
+        row, col = rng.integers(0, n_places)
         frame = np.zeros(mask.shape, np.float32)
         frame[row : row + sides[0], col : col + sides[1]] = 1.0
         x = frame[mask]
         # A pad may lie beside the skin.
         if x.any():
-            energy = float(np.sum(np.square(phi.forward(x), dtype=np.float64)))
-            shares.append(energy / float(np.sum(x)))
+            squares = np.square(phi.forward(x), dtype=np.float64)
+            shares.append(float(squares.sum()) / float(x.sum()))
     mean = float(np.mean(shares))
-    return float(np.std(shares)) / max(mean, TINY) / math.sqrt(2.0 / phi.m)
+    spread = float(np.std(shares)) / max(mean, TINY)
+    return spread / math.sqrt(2.0 / phi.m)

@@ -36,7 +36,6 @@ from sparseskin.nodes.numerics.warm_up import compile_loops
 from sparseskin.nodes.reconstructor.bases.base import make_basis
 from sparseskin.nodes.reconstructor.solvers.base import (
     make_solver,
-    solver_class,
     solver_fact,
 )
 
@@ -65,7 +64,7 @@ class Reconstructor(Node[ReconstructorSettings]):
     def __init__(self, settings: ReconstructorSettings, context: Context) -> None:
         super().__init__(settings, context)
         settings.check()
-        has_loops = solver_fact(solver_class(settings.chosen()["solver"]), "has_loops")
+        has_loops = solver_fact(settings.solver_class, "has_loops")
         if has_loops or settings.contacts:
             compile_loops(settings.fast, context.log, context.count)
         _rehearse(settings)
@@ -119,7 +118,10 @@ class Reconstructor(Node[ReconstructorSettings]):
     def depth(self) -> int:
         if self.settings.depth is not None:
             return self.settings.depth
-        return NEWEST if self._skin is not None and self._skin.live else EVERY_FRAME
+        # A live sensor does not wait: its newest frame is worth more than its oldest.
+        if self._skin is not None and self._skin.live:
+            return NEWEST
+        return EVERY_FRAME
 
     def step(self, message: Message) -> Iterable[Message]:
         if isinstance(message, Measurements):
@@ -197,19 +199,21 @@ class Reconstructor(Node[ReconstructorSettings]):
         contacts = self._touching
         if contacts is None or self._skin is None or not contacts.id.size:
             return ""
-        return summary(contacts.id.size, float(contacts.total.sum()), self._skin.unit)
+        total = float(contacts.total.sum())
+        return summary(contacts.id.size, total, self._skin.unit)
 
     @property
     def _preset(self) -> str:
         """The preset; "" if settings replace a part of it."""
         preset = self.settings.preset
-        return preset if self.settings.chosen() == PRESETS[preset] else ""
+        if self.settings.chosen() != PRESETS[preset]:
+            return ""
+        return preset
 
     @property
     def _uses_basis(self) -> bool:
         """True if the solver uses the basis."""
-        cls = solver_class(self.settings.chosen()["solver"])
-        return bool(solver_fact(cls, "uses_basis"))
+        return bool(solver_fact(self.settings.solver_class, "uses_basis"))
 
     @property
     def _left_out(self) -> str:
@@ -223,7 +227,9 @@ class Reconstructor(Node[ReconstructorSettings]):
 
     @property
     def _n_idle(self) -> int:
-        return 0 if self._idle is None else int(np.count_nonzero(self._idle.idle))
+        if self._idle is None:
+            return 0
+        return int(np.count_nonzero(self._idle.idle))
 
     def _set_up(
         self, state: SkinState, announced: PhiState, stamp_ns: int
@@ -249,7 +255,8 @@ class Reconstructor(Node[ReconstructorSettings]):
         chooses = bool(phi_fact(subsets[0], "choice"))
         # Without a stated noise no change is known from it; rows chosen anew have no earlier frame.
         if self.settings.skip_idle and state.sigma_end > 0 and not chooses:
-            from .idle import IdleWatch  # with it the sensor's noise
+            # With it the sensor's noise is imported.
+            from .idle import IdleWatch
 
             self._idle = IdleWatch(len(self._patches), state, subsets)
 
@@ -312,7 +319,9 @@ class Reconstructor(Node[ReconstructorSettings]):
         skin = self._skin
         assert skin is not None
         patches = self._patches
-        patches[0].set_missing(measurements.missing_cells((skin.n_rows, skin.n_cols)))
+        # Of several patches no message names missing taxels.
+        missing = measurements.missing_cells((skin.n_rows, skin.n_cols))
+        patches[0].set_missing(missing)
         for patch, reason in zip(patches, measurements.reason, strict=True):
             patch.sensed = reason
         follow(phi, places=measurements.places, nodes=measurements.nodes)
@@ -419,14 +428,18 @@ class Reconstructor(Node[ReconstructorSettings]):
             [not p.solved.reason for p in self._patches if p.solved is not None]
         )
         done_ns = self.context.clock.now_ns()
-        fields = self._joined(followed) if any(followed) else {}
+        fields: dict[str, Any] = {}
+        if any(followed):
+            fields = self._joined(followed)
         self._touching = self._untouched.at(stamp_ns, done_ns, trusted, **fields)
         return self._touching
 
 
 def _stacked(arrays: Sequence[Floats]) -> Floats:
     """Arrays of the patches as one, without a copy of the array of one."""
-    return arrays[0][np.newaxis] if len(arrays) == 1 else np.stack(arrays)
+    if len(arrays) == 1:
+        return arrays[0][np.newaxis]
+    return np.stack(arrays)
 
 
 def _is_alike(message: Message, before: Message) -> bool:

@@ -13,6 +13,7 @@ import numpy as np
 from sparseskin.messages import Reason, SkinState
 from sparseskin.messages.quantised import step_of
 from sparseskin.messages.reasons import first_reason
+from sparseskin.messages.skin import Skin
 from sparseskin.nodes.compressor.phi.base import Phi, phi_fact
 from sparseskin.nodes.numerics.arrays import Floats, Mask, of_nine
 from sparseskin.nodes.reconstructor.bases.base import make_basis
@@ -24,7 +25,6 @@ from sparseskin.nodes.reconstructor.solvers.base import (
     estimated_error,
     make_rotating_solver,
     measured,
-    solver_class,
     solver_fact,
 )
 from sparseskin.nodes.sensor.noise import NoiseModel
@@ -106,52 +106,23 @@ class Patch:
         each other; `alike` is the first patch of the node, which was set up for the same skin: its
         frames take as long.
         """
-        skin = state.skin
         phi = subsets[0]
-        chosen = dict(settings.chosen())
-        name = chosen.pop("solver")
-        basis_name = chosen.pop("basis")
-        warnings = reconstruction_warnings(name, basis_name, phi.n, phi.m, chosen)
-        options = options_for_range(name, chosen, skin.f_max, phi)
-        basis = make_basis(basis_name, skin.n_rows, skin.n_cols)
-        cls = solver_class(name)
-        solver = make_rotating_solver(
-            name, subsets, basis, skin.mask, fast=settings.fast, **options
-        )
-        if settings.chosen() == PRESETS["paper"] and not has_rows_of_paper(subsets):
-            warnings.append(OTHER_ROWS)
-        if phi_fact(phi, "samples") and solver_fact(cls, "warning_of_samples"):
-            warnings.append(solver_fact(cls, "warning_of_samples"))
-        # A Phi of the user's own, or of a file, may not be what it states.
-        if ":" in settings.phi:
-            for subset in subsets:
-                warnings += check_phi(subset, solver.mask)
-        for warning in dict.fromkeys(warnings):
-            self.log(warning)
-
-        budget_ms = settings.budget_ms
-        follows_rate = (
-            live and "iterations" not in options and solver_fact(solver, "paces")
-        )
-        if budget_ms is None and follows_rate and state.rate_hz:
-            budget_ms = 1e3 * SHARE / state.rate_hz / settings.n_patches
-        most_steps = sys.maxsize
+        # Of rows that rotate, a solver may be one of several, without what its class states.
+        cls = settings.solver_class
+        solver, basis, options = self._make_solver(settings, subsets, state.skin)
         frame_ms = 0.0
+        most_steps = sys.maxsize
+        budget_ms = settings.budget_ms
+        if budget_ms is None and live and "iterations" not in options:
+            budget_ms = _budget_of_rate(solver, state, settings.n_patches)
         if alike is not None:
             most_steps = alike.most_steps
             _use_times_of(alike, solver)
         elif budget_ms is not None:
-            # A solver with paces has fewer steps from then on.
-            n_steps = solver.n_steps
-            most_steps, frame_s = steps_within(solver, phi, skin.f_max, budget_ms / 1e3)
-            frame_ms = round(1e3 * frame_s, 3)
-            usual, where = _usual_steps(solver, most_steps)
-            if usual < solver_fact(cls, "least_iterations"):
-                self.log(
-                    f"{usual} of {n_steps} iterations{where}, for a budget of {budget_ms:.2g} ms: "
-                    "a sudden contact takes several frames; advised: a larger budget_ms, a lower "
-                    "rate, or fewer taxels a node"
-                )
+            n_least = solver_fact(cls, "least_iterations")
+            most_steps, frame_ms = self._fit(
+                solver, phi, state.f_max, budget_ms, n_least
+            )
 
         # From here on nothing raises: what raised has changed nothing.
         self.settings = settings
@@ -159,31 +130,86 @@ class Patch:
         self._tiles = solver if isinstance(solver, CountsTiles) else None
         self._subsets = subsets
         self.most_steps = most_steps
-        noise = Noise(skin.f_max, state.least_sd)
+        noise = Noise(state.f_max, state.least_sd)
         self.faults = FaultWatch(
             noise, solver.mask.shape, self.log, watch_rows=settings.watch_rows
         )
         if settings.uncertainty:
             table = solver_fact(cls, "calibrated")
             self._uncertainty = Uncertainty(solver.mask, phi.ratio, table)
-        if settings.contacts and not (self._tracker and self._tracker.fits(state)):
-            from .contact_tracks import ContactTracker
+        self._track(state, alike)
 
-            self._tracker = ContactTracker(state, settings.fast)
-        if self._tracker is not None:
-            self._tracker.settle(len(subsets))
-            self._watch_touches(state, alike)
-        self.set_limits(settings)
         # Another Phi or solver in the middle of a stream starts from the last estimate.
-        if self._last is not None and self._last.shape != skin.shape:
+        if self._last is not None and self._last.shape != state.skin.shape:
             self._last = None
         self._warm = self._last
         return {
-            "basis": getattr(basis, "label", basis_name),
+            "basis": basis,
             "lambda_n": options.get("lambda_n", 0.0),
             "frame_ms": frame_ms,
             **self._stated_steps(options.get("iterations", solver.n_steps)),
         }
+
+    def _make_solver(
+        self, settings: ReconstructorSettings, subsets: list[Phi], skin: Skin
+    ) -> tuple[Solver, str, dict[str, Any]]:
+        """Make the solver, and log what is known to fail: with the name of its basis, and its
+        options as it takes them.
+        """
+        phi = subsets[0]
+        options = dict(settings.chosen())
+        name = options.pop("solver")
+        basis_name = options.pop("basis")
+        warnings = reconstruction_warnings(name, basis_name, phi.n, phi.m, options)
+        options = options_for_range(name, options, skin.f_max, phi)
+        basis = make_basis(basis_name, skin.n_rows, skin.n_cols)
+        solver = make_rotating_solver(
+            name, subsets, basis, skin.mask, fast=settings.fast, **options
+        )
+
+        if settings.chosen() == PRESETS["paper"] and not has_rows_of_paper(subsets):
+            warnings.append(OTHER_ROWS)
+        warning_of_samples = solver_fact(settings.solver_class, "warning_of_samples")
+        if phi_fact(phi, "samples") and warning_of_samples:
+            warnings.append(warning_of_samples)
+        # A Phi of the user's own, or of a file, may not be what it states.
+        if ":" in settings.phi:
+            for subset in subsets:
+                warnings += check_phi(subset, solver.mask)
+        for warning in dict.fromkeys(warnings):
+            self.log(warning)
+        return solver, getattr(basis, "label", basis_name), options
+
+    def _fit(
+        self, solver: Solver, phi: Phi, f_max: float, budget_ms: float, n_least: int
+    ) -> tuple[int, float]:
+        """Number of steps of a frame that fit into a budget, with a warning if they are fewer than
+        `n_least`; and its time, milliseconds.
+        """
+        # A solver with paces has fewer steps from then on.
+        n_steps = solver.n_steps
+        most_steps, frame_s = steps_within(solver, phi, f_max, budget_ms / 1e3)
+        usual, where = _usual_steps(solver, most_steps)
+        if usual < n_least:
+            self.log(
+                f"{usual} of {n_steps} iterations{where}, for a budget of {budget_ms:.2g} ms: "
+                "a sudden contact takes several frames; advised: a larger budget_ms, a lower "
+                "rate, or fewer taxels a node"
+            )
+        return most_steps, round(1e3 * frame_s, 3)
+
+    def _track(self, skin: SkinState, alike: Patch | None) -> None:
+        """Follow the contacts of a skin from now on, if the settings ask for it."""
+        tracker = self._tracker
+        if self.settings.contacts and not (tracker and tracker.fits(skin)):
+            # It imports scipy.ndimage: only where contacts are looked for.
+            from .contact_tracks import ContactTracker
+
+            self._tracker = ContactTracker(skin, self.settings.fast)
+        if self._tracker is not None:
+            self._tracker.settle(len(self._subsets))
+            self._watch_touches(skin, alike)
+        self.set_limits(self.settings)
 
     def _stated_steps(self, iterations: int) -> dict[str, int]:
         """Numbers of steps as a `SolverState` has them; `iterations` where no budget is set."""
@@ -206,6 +232,7 @@ class Patch:
             return
         from .first_touch import TouchTest, TouchWatch
 
+        # Its tables depend on skin and Phi alone.
         shared = alike and alike._touch
         test = shared.test if shared else TouchTest(skin, self._subsets)
         self._touch = TouchWatch(test)
@@ -246,7 +273,8 @@ class Patch:
         self._y = y if self._believed is None else self._believed
         if self._touch is not None:
             is_whole = self._missing is None and not self.sensed
-            self._touch.read(phi, self._believed if is_whole else None, step_of(y))
+            whole_y = self._believed if is_whole else None
+            self._touch.read(phi, whole_y, step_of(y))
 
     def solve(self) -> None:
         """Reconstruct the frame within its budget. Raises SolverError if the solver cannot."""
@@ -258,6 +286,7 @@ class Patch:
             self._error = None
             self._common_error = 0.0
             return
+
         begin_ns = time.perf_counter_ns()
         self.solver.setup(self._believed, self._warm)
         # One that counts tiles ends its steps by itself.
@@ -267,7 +296,9 @@ class Patch:
         for _ in range(n_steps):
             self.solver.step()
         self._last = self.solver.finish()
-        self._n_steps = n_steps if self._tiles is None else self._tiles.n_done
+        self._n_steps = n_steps
+        if self._tiles is not None:
+            self._n_steps = self._tiles.n_done
         self._error, _ = estimated_error(self.solver)
         self._common_error = self.solver.common_error
         self._solve_ns = time.perf_counter_ns() - begin_ns
@@ -285,7 +316,8 @@ class Patch:
         forces = verdict.forces if self._last is None else self._last
         fitted = measured(self.solver, forces, self._phi)
         residuals = np.subtract(self._y, fitted, dtype=np.float64)
-        residual = math.sqrt(float(np.dot(residuals, residuals)) / residuals.size)
+        energy = float(np.dot(residuals, residuals))
+        residual = math.sqrt(energy / residuals.size)
 
         sd = None
         if self._uncertainty is not None:
@@ -349,10 +381,20 @@ class Patch:
         return contacts
 
 
+def _budget_of_rate(solver: Solver, skin: SkinState, n_patches: int) -> float | None:
+    """Time of a frame of one patch at the rate of the frames, milliseconds; None where the rate is
+    not known, or the solver has only one number of steps.
+    """
+    if not skin.rate_hz or not solver_fact(solver, "paces"):
+        return None
+    return 1e3 * SHARE / skin.rate_hz / n_patches
+
+
 def _usual_steps(solver: Solver, most_steps: int) -> tuple[int, str]:
     """Number of steps that a budget allows in most frames; and which these are, in words."""
     if isinstance(solver, CountsTiles) and solver.times[0]:
-        _, n_steps = solver.steps_for(int(USUAL_PART * solver.most_tiles))
+        n_tiles = int(USUAL_PART * solver.most_tiles)
+        _, n_steps = solver.steps_for(n_tiles)
         return n_steps, f" where {USUAL_PART:.0%} of the skin is pressed"
     return most_steps, ""
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import inspect
-import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from typing import Any, Self
@@ -203,10 +202,22 @@ class ReconstructorSettings(PatchesSettings):
     @property
     def limits(self) -> Limits:
         """What counts as a contact, and as an event."""
-        over = math.inf if self.contact_over is None else self.contact_over
-        slide = math.inf if self.contact_slide is None else self.contact_slide
-        thresholds = self.contact_low, self.contact_high
-        return Limits(*thresholds, self.contact_force, self.contact_area, over, slide)
+        limits = Limits(
+            low=self.contact_low,
+            high=self.contact_high,
+            force=self.contact_force,
+            area=self.contact_area,
+        )
+        if self.contact_over is not None:
+            limits = replace(limits, over=self.contact_over)
+        if self.contact_slide is not None:
+            limits = replace(limits, slide=self.contact_slide)
+        return limits
+
+    @property
+    def solver_class(self) -> Callable[..., Any]:
+        """Class of the solver in force. Raises SolverError if there is none."""
+        return solver_class(self.chosen()["solver"])
 
     def check(self) -> None:
         check_fast(self.fast)
@@ -243,19 +254,24 @@ class ReconstructorSettings(PatchesSettings):
                     f"{key}: solver {name} has none; allowed: to leave it out, "
                     "or a solver that has it (preset paper)"
                 )
-        options = [
-            key
-            for key, p in parameters.items()
-            if key not in _NO_OPTIONS and p.kind is not p.VAR_KEYWORD
-        ]
+        names = []
+        for key, parameter in parameters.items():
+            if key not in _NO_OPTIONS and parameter.kind is not parameter.VAR_KEYWORD:
+                names.append(key)
+        self._check_options(name, names, takes_any)
+
+    def _check_options(self, name: str, options: list[str], takes_any: bool) -> None:
+        """Raise SettingsError for an option that a solver, by name, does not take."""
         for key, value in (self.options or {}).items():
             if key in ("iterations", "lambda_n"):
                 raise SettingsError(
                     f"options.{key}: is a setting of its own; allowed: {key}"
                 )
-            if key in _NO_OPTIONS or (key not in options and not takes_any):
-                none = "; it has none beside the settings iterations and lambda_n"
-                allowed = nearest_of(key, options) if options else none
+            is_unknown = key not in options and not takes_any
+            if key in _NO_OPTIONS or is_unknown:
+                allowed = "; it has none beside the settings iterations and lambda_n"
+                if options:
+                    allowed = nearest_of(key, options)
                 raise SettingsError(
                     f"options.{key}: is no option of solver {name}{allowed}"
                 )
@@ -284,7 +300,7 @@ class ReconstructorSettings(PatchesSettings):
                 f"message names it; state phi = '{kind}' here too"
             )
         solver_name = self.chosen()["solver"]
-        solver = solver_class(solver_name)
+        solver = self.solver_class
         phi = phi_class(kind)
         # A function that makes a Phi shows what it is only once it is called.
         if isinstance(phi, type):

@@ -10,7 +10,6 @@ from types import MappingProxyType
 from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
 from sparseskin.messages.fields import MAX_SIDE
 from sparseskin.messages.frames import FINGERPRINT_PATTERN
@@ -19,7 +18,15 @@ from sparseskin.nodes import extensions
 from sparseskin.nodes.arguments import checked
 from sparseskin.nodes.errors import PhiError
 from sparseskin.nodes.lookup import find_callable, find_class
-from sparseskin.nodes.numerics.arrays import Floats, Indices, Mask, each_frame
+from sparseskin.nodes.numerics.arrays import (
+    AnyArray,
+    Bytes,
+    Doubles,
+    Floats,
+    Indices,
+    Mask,
+    each_frame,
+)
 
 KINDS = extensions.Registry(
     extensions.PHIS,
@@ -56,7 +63,7 @@ _INTERFACE = (
     *("kind", "n", "m", "ratio", "lipschitz", "fingerprint"),
     *("forward", "adjoint", "dense", "describe"),
 )
-Code = npt.NDArray[np.uint8]
+Code = Bytes
 """Bits that state which rows of a matrix a frame reads."""
 
 
@@ -217,7 +224,7 @@ class Phi(ABC):
     def _lay_out(self, exists: Mask) -> None:  # noqa: B027
         """Arrange the rows by the grid, where the kind depends on it."""
 
-    def dense(self) -> npt.NDArray[np.float64]:
+    def dense(self) -> Doubles:
         """Return the explicit matrix, float64, shape (m, n): by default row by row by `adjoint`."""
         # Phi^T of the i-th unit vector is row i.
         rows = self.adjoint(np.eye(self.m, dtype=np.float32))
@@ -313,9 +320,7 @@ def check_parameters(n: int, m: int, seed: int, block: int) -> None:
             raise PhiError(f"phi: {name} = {value} is not allowed; allowed: {allowed}")
 
 
-def fingerprint_of(
-    kind: str, n: int, m: int, block: int, *arrays: npt.NDArray[np.generic]
-) -> str:
+def fingerprint_of(kind: str, n: int, m: int, block: int, *arrays: AnyArray) -> str:
     """The first 16 hexadecimal characters of the SHA-256 over the parts of a matrix: integers as
     little-endian int32, floats as little-endian float32, to be the same on every machine.
     """

@@ -6,10 +6,9 @@ import math
 from functools import cached_property
 
 import numpy as np
-import numpy.typing as npt
 
 from sparseskin.nodes.errors import PhiError
-from sparseskin.nodes.numerics.arrays import Floats
+from sparseskin.nodes.numerics.arrays import Doubles, Floats
 
 from .base import BLOCK, Phi, fingerprint_of
 
@@ -43,8 +42,9 @@ class GaussianPhi(Phi):
     def __init__(self, n: int, m: int, seed: int, block: int = BLOCK) -> None:
         super().__init__(n, m, seed, block)
         # In float64: a float32 generator would draw other numbers.
-        normal = np.random.default_rng(seed).standard_normal((m, n))
-        self.matrix: Floats = (normal / math.sqrt(n)).astype(np.float32)
+        rng = np.random.default_rng(seed)
+        matrix = rng.standard_normal((m, n)) / math.sqrt(n)
+        self.matrix: Floats = matrix.astype(np.float32)
         self.matrix.setflags(write=False)
         self.fingerprint = fingerprint_of(self.kind, n, m, 1, self.matrix)
 
@@ -55,11 +55,12 @@ class GaussianPhi(Phi):
         The last bits of a linear algebra library then do not reach the solver's step size.
         """
         rows = self.dense()
-        # Eigenvalues come in ascending order.
-        largest = float(np.linalg.eigvalsh(rows @ rows.T)[-1])
+        # In ascending order.
+        eigenvalues = np.linalg.eigvalsh(rows @ rows.T)
+        largest = float(eigenvalues[-1])
         return math.ceil(largest * 1e6) / 1e6
 
-    def dense(self) -> npt.NDArray[np.float64]:
+    def dense(self) -> Doubles:
         """Return the explicit matrix, float64, shape (m, n)."""
         return self.matrix.astype(np.float64)
 

@@ -9,7 +9,7 @@ from typing import Any, TypeAlias
 import numpy as np
 import numpy.typing as npt
 
-from sparseskin.nodes.numerics.arrays import Floats, Indices
+from sparseskin.nodes.numerics.arrays import Doubles, Floats, Indices
 from sparseskin.nodes.numerics.compiled import ready
 
 MOST_AT_ONCE = 64
@@ -41,11 +41,13 @@ def block_sizes(n: int, block: int) -> list[int]:
     return sizes
 
 
-def hadamard_matrix(size: int) -> npt.NDArray[np.float64]:
+def hadamard_matrix(size: int) -> Doubles:
     """Return the Hadamard matrix of +1 and -1 (Sylvester's), float64, shape (size, size)."""
     matrix = np.ones((1, 1))
     while len(matrix) < size:
-        matrix = np.block([[matrix, matrix], [matrix, -matrix]])
+        upper = [matrix, matrix]
+        lower = [matrix, -matrix]
+        matrix = np.block([upper, lower])
     return matrix
 
 
@@ -61,7 +63,8 @@ def side_by_side(sizes: Sequence[int]) -> tuple[Indices, npt.NDArray[np.int64]]:
     start = 0
     for size, count in Counter(sizes).items():
         stop = start + size * count
-        of_blocks = np.arange(start, stop, dtype=np.intp).reshape(count, size)
+        of_size = np.arange(start, stop, dtype=np.intp)
+        of_blocks = of_size.reshape(count, size)
         columns.append(of_blocks.T.ravel())
         groups.append((start, size, count))
         start = stop
@@ -95,7 +98,8 @@ class BlockHadamard:
             # within its block, the lowest first, lie before the number of the block, then behind.
             n_high = max(size // 2, 1)
             n_low = min(size, 2)
-            bits = np.arange(start, stop).reshape(count, n_high, n_low)
+            places = np.arange(start, stop)
+            bits = places.reshape(count, n_high, n_low)
             self.order_in[group] = bits.transpose(2, 1, 0).ravel()
             self.order_out[group] = bits.transpose(0, 2, 1).ravel()
 
@@ -121,10 +125,8 @@ class BlockHadamard:
             for _ in range(n_stages):
                 low, high = (source[part] for part in reads)
                 sums, differences = (target[part] for part in writes)
-                calls += [
-                    (np.add, (low, high, sums)),
-                    (np.subtract, (low, high, differences)),
-                ]
+                calls.append((np.add, (low, high, sums)))
+                calls.append((np.subtract, (low, high, differences)))
                 source, target = target, source
             # The result of an odd number of stages is in the scratch.
             if n_stages % 2:
@@ -150,8 +152,10 @@ class CompiledHadamard:
         parts = []
         for start, size, count in self._groups.tolist():
             # Side by side: row i holds the columns i of all blocks of a size.
-            of_size = columns[start : start + size * count].reshape(size, count)
-            parts.append(of_size[_bit_order(size)].ravel())
+            stop = start + size * count
+            of_size = columns[start:stop].reshape(size, count)
+            in_order = of_size[_bit_order(size)]
+            parts.append(in_order.ravel())
         self.order: Indices = np.concatenate(parts)
 
     def program(self, v: Floats) -> list[Call]:
@@ -195,26 +199,30 @@ class HadamardProducts:
                 b = 1 << size.bit_length() // 2
             a = size // b
             part = slice(start, start + size * count)
-            self._groups.append((part, _orthonormal(a), _orthonormal(b)))
+            factors = _orthonormal(a), _orthonormal(b)
+            self._groups.append((part, *factors))
             if b > 1:
                 # The second product leaves the rows of b before the blocks, those of a behind.
                 by_row = self.order_in[part].reshape(a, b, count)
-                self.order_out[part] = by_row.transpose(1, 2, 0).ravel()
+                as_left = by_row.transpose(1, 2, 0)
+                self.order_out[part] = as_left.ravel()
 
     def forward(self, x: Floats) -> Floats:
         """Return W x, float32 (n,), from `order_in` to `order_out`."""
-        return np.concatenate([_product(x[part], a, b) for part, a, b in self._groups])
+        rows = [_product(x[part], a, b) for part, a, b in self._groups]
+        return np.concatenate(rows)
 
     def back(self, rows: Floats) -> Floats:
         """Return W^T rows, float32 (n,), from `order_out` to `order_in`."""
-        parts = [_product_back(rows[part], a, b) for part, a, b in self._groups]
-        return np.concatenate(parts)
+        x = [_product_back(rows[part], a, b) for part, a, b in self._groups]
+        return np.concatenate(x)
 
 
 def _orthonormal(size: int) -> Floats:
     """The Hadamard matrix of a size with rows of length 1, float32."""
-    matrix: Floats = (hadamard_matrix(size) / np.sqrt(size)).astype(np.float32)
-    return matrix
+    matrix = hadamard_matrix(size) / np.sqrt(size)
+    rows: Floats = matrix.astype(np.float32)
+    return rows
 
 
 def _product(x: Floats, a: Floats, b: Floats) -> Floats:
@@ -223,14 +231,17 @@ def _product(x: Floats, a: Floats, b: Floats) -> Floats:
     if len(b) == 1:
         return (a @ v).reshape(-1)
     # a is symmetric: the transposed product leaves b's index first, as the next one needs it.
-    by_a = (v.T @ a).reshape(len(b), -1)
-    return (b @ by_a).reshape(-1)
+    by_a = v.T @ a
+    by_both = b @ by_a.reshape(len(b), -1)
+    return by_both.reshape(-1)
 
 
 def _product_back(rows: Floats, a: Floats, b: Floats) -> Floats:
     """The transpose of `_product`."""
+    by_b = rows.reshape(len(b), -1)
     if len(b) == 1:
-        return (a @ rows.reshape(len(a), -1)).reshape(-1)
-    by_b = b @ rows.reshape(len(b), -1)
-    by_a = a @ by_b.reshape(-1, len(a)).T
-    return by_a.reshape(-1)
+        v = a @ by_b.reshape(len(a), -1)
+    else:
+        by_b = b @ by_b
+        v = a @ by_b.reshape(-1, len(a)).T
+    return v.reshape(-1)

@@ -30,7 +30,8 @@ class FullPhi(Phi):
         if type(self) is not FullPhi:
             return None
         taxels = np.arange(self.n)
-        return BlockLayout([1] * self.n, taxels, taxels, None)
+        sizes = [1] * self.n
+        return BlockLayout(sizes, taxels, taxels, None)
 
     def _forward(self, x: Floats, out: Floats) -> None:
         np.copyto(out, x)
@@ -53,14 +54,17 @@ class SubsamplePhi(RotatingPhi):
         super().__init__(n, m, seed, block)
         rng = np.random.default_rng(seed)
         self._order: Indices = rng.permutation(n).astype(np.intp)
-        self._keep(np.sort(self._order[:m]))
+        rows = np.sort(self._order[:m])
+        self._keep(rows)
 
     def block_layout(self) -> BlockLayout | None:
         """As in `Phi`: blocks of one taxel each."""
         # A subclass may measure something else.
         if type(self) is not SubsamplePhi:
             return None
-        return BlockLayout([1] * self.n, np.arange(self.n), self.rows, None)
+        taxels = np.arange(self.n)
+        sizes = [1] * self.n
+        return BlockLayout(sizes, taxels, self.rows, None)
 
     def _forward(self, x: Floats, out: Floats) -> None:
         # "clip": with the default mode numpy copies through a buffer where `out` is stated.

@@ -8,11 +8,10 @@ from copy import copy
 from typing import Any, ClassVar
 
 import numpy as np
-import numpy.typing as npt
 
 from sparseskin.messages.skin import Skin
 from sparseskin.nodes.errors import PhiError
-from sparseskin.nodes.numerics.arrays import Indices
+from sparseskin.nodes.numerics.arrays import AnyArray, Indices
 
 from .base import MAX_SUBSETS, STORED, Phi, fingerprint_of, make_phi
 
@@ -60,7 +59,9 @@ def split_rows(order: Indices, m: int) -> list[Indices]:
     n_subsets = math.ceil(n / m)
     # In whole numbers, so that the starts are the same on every machine.
     starts = [subset * n // n_subsets for subset in range(n_subsets)]
-    return [np.sort(np.roll(order, -start)[:m]) for start in starts]
+    # Twice the order: a subset that reaches beyond its end goes on at its start.
+    circle = np.concatenate([order, order])
+    return [np.sort(circle[start : start + m]) for start in starts]
 
 
 def split_evenly(order: Indices, m: int, n_subsets: int | None = None) -> list[Indices]:
@@ -77,7 +78,8 @@ def split_evenly(order: Indices, m: int, n_subsets: int | None = None) -> list[I
     samples = []
     for subset in range(n_subsets):
         counts = (steps + subset * n) // (n * n_subsets)
-        samples.append(np.sort(order[np.diff(counts) > 0]))
+        is_taken = np.diff(counts) > 0
+        samples.append(np.sort(order[is_taken]))
     return samples
 
 
@@ -91,7 +93,7 @@ class RotatingPhi(Phi):
     can_rotate: ClassVar[bool] = True
     _order: Indices
 
-    def _keep(self, rows: Indices, block: int = 1, *w: npt.NDArray[np.generic]) -> None:
+    def _keep(self, rows: Indices, block: int = 1, *w: AnyArray) -> None:
         """Measure by these rows, ascending, of W, which block and arrays state."""
         rows.setflags(write=False)
         self.rows: Indices = rows

@@ -6,10 +6,9 @@ import math
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from sparseskin.nodes.errors import PhiError
-from sparseskin.nodes.numerics.arrays import Floats, Indices, Mask
+from sparseskin.nodes.numerics.arrays import Doubles, Floats, Indices, Mask
 
 from .base import BLOCK, Phi
 from .hadamard import hadamard_matrix
@@ -45,7 +44,9 @@ class RowLocalPhi(RotatingPhi):
     def __init__(self, n: int, m: int, seed: int, block: int = BLOCK) -> None:
         super().__init__(n, m, seed, block)
         root = math.isqrt(n)
-        shape = (root, root) if root * root == n else (n, 1)
+        shape = (n, 1)
+        if root * root == n:
+            shape = (root, root)
         self._arrange(*shape)
 
     def _lay_out(self, exists: Mask) -> None:
@@ -68,15 +69,18 @@ class RowLocalPhi(RotatingPhi):
         rng = np.random.default_rng(self.seed)
         size = 1 << (n_cols - 1).bit_length()
         # The pattern of all columns, row 0, stays the first.
-        row_order = np.append(0, 1 + rng.permutation(size - 1))
+        other_rows = 1 + rng.permutation(size - 1)
+        row_order = np.append(0, other_rows)
         column_order = rng.permutation(n_cols)
-        shuffled = hadamard_matrix(size)[np.ix_(row_order, column_order)]
+        places = np.ix_(row_order, column_order)
+        shuffled = hadamard_matrix(size)[places]
         b = _independent(shuffled) / math.sqrt(n_cols)
         self.patterns: Floats = b.astype(np.float32)
         self.patterns.setflags(write=False)
 
         # To four decimals: the last bits of a linear algebra library do not reach the solver.
-        largest = float(np.linalg.eigvalsh(b @ b.T)[-1])
+        eigenvalues = np.linalg.eigvalsh(b @ b.T)
+        largest = float(eigenvalues[-1])
         self._lipschitz = math.ceil(largest * 1e4 - 1e-2) / 1e4
         self._order = np.arange(self.n, dtype=np.intp)
         self._keep(self._order[: self.m])
@@ -110,17 +114,22 @@ class RowLocalPhi(RotatingPhi):
 
     def _forward(self, x: Floats, out: Floats) -> None:
         # einsum adds in numpy, always in one order; the order of a matmul depends on the BLAS.
-        sums = np.einsum("tc,rc->tr", self._b, x.reshape(self.shape))
+        grid = x.reshape(self.shape)
+        sums = np.einsum("tc,rc->tr", self._b, grid)
         sums.reshape(-1).take(self._place, None, out, "clip")
 
     def _adjoint(self, y: Floats, out: Floats) -> None:
-        sums = np.zeros(len(self._used) * self.shape[0], dtype=np.float32)
+        n_rows = self.shape[0]
+        n_patterns = len(self._used)
+        # Rows of the last pattern may be without a measurement.
+        sums = np.zeros(n_patterns * n_rows, dtype=np.float32)
         sums[self._place] = y
-        grid = sums.reshape(-1, self.shape[0])
-        np.einsum("tr,tc->rc", grid, self._b, out=out.reshape(self.shape))
+        by_pattern = sums.reshape(n_patterns, n_rows)
+        grid = out.reshape(self.shape)
+        np.einsum("tr,tc->rc", by_pattern, self._b, out=grid)
 
 
-def _independent(signs: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+def _independent(signs: Doubles) -> Doubles:
     """Return the first n_cols rows that are linearly independent, of (size, n_cols)."""
     n_cols = signs.shape[1]
     if len(signs) == n_cols:
@@ -135,5 +144,6 @@ def _independent(signs: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
         length = float(np.linalg.norm(residual))
         if length > 1e-6:
             independent.append(k)
-            orthonormal = np.concatenate([orthonormal, residual[None] / length])
+            direction = residual[np.newaxis] / length
+            orthonormal = np.concatenate([orthonormal, direction])
     return signs[independent]

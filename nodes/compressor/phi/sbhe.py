@@ -9,11 +9,10 @@ from collections.abc import Sequence
 from typing import Any, ClassVar
 
 import numpy as np
-import numpy.typing as npt
 
 from sparseskin.messages.fields import MAX_SIDE
 from sparseskin.nodes.errors import PhiError
-from sparseskin.nodes.numerics.arrays import Floats, Indices, Mask
+from sparseskin.nodes.numerics.arrays import Doubles, Floats, Indices, Mask
 
 from .base import BLOCK, MAX_SUBSETS, RANDOM, SUMS, UNREAD, BlockLayout, Phi
 from .hadamard import BlockHadamard, CompiledHadamard, block_sizes, hadamard_matrix, run
@@ -100,8 +99,8 @@ class SbhePhi(RotatingPhi):
         self._places: Indices = np.argsort(self._hadamard.order_out)[rows]
         self._lay_forward()
         size_of_row = np.repeat(self.sizes, self.sizes)
-        size = size_of_row[rows].astype(np.float32)
-        self.scale: Floats = np.reciprocal(np.sqrt(size))
+        sizes = size_of_row[rows].astype(np.float32)
+        self.scale: Floats = np.reciprocal(np.sqrt(sizes))
 
     def _lay_forward(self) -> None:
         """Set where `_forward` reads taxels and finds measurements."""
@@ -121,15 +120,17 @@ class SbhePhi(RotatingPhi):
     @property
     def block_of_row(self) -> Indices:
         """Number of the block of taxels that each row sums, int64 (m,)."""
-        return np.searchsorted(np.cumsum(self.sizes), self.rows, side="right")
+        ends = np.cumsum(self.sizes)
+        return np.searchsorted(ends, self.rows, side="right")
 
     def row_subsets(self) -> list[Phi]:
         """As in `RotatingPhi`; but by rule 1, the first one is not this matrix."""
         if self.rule == RANDOM:
             return super().row_subsets()
-        return self._twins(split_with_sums(self.sizes, self._by_block, self.m))
+        subsets = split_with_sums(self.sizes, self._by_block, self.m)
+        return self._twins(subsets)
 
-    def dense(self) -> npt.NDArray[np.float64]:
+    def dense(self) -> Doubles:
         """Return the explicit matrix, float64, shape (m, n), built from its definition."""
         matrix = np.zeros((self.m, self.n))
         start = 0
@@ -168,19 +169,22 @@ def spread_order(
     """
     block_of_row = np.repeat(np.arange(len(sizes)), sizes)
     n = block_of_row.size
-    by_block = np.lexsort((rng.random(n), block_of_row)).astype(np.intp)
+    lots = rng.random(n)
+    by_block = np.lexsort((lots, block_of_row)).astype(np.intp)
 
     # The sum is the first row of its block. Blocks of one size come in a random order.
     all_sizes = np.array(sizes)
     shuffled = rng.permutation(len(sizes))
-    blocks = shuffled[np.argsort(-all_sizes[shuffled], kind="stable")]
+    largest_first = np.argsort(-all_sizes[shuffled], kind="stable")
+    blocks = shuffled[largest_first]
     first_rows = np.cumsum(sizes) - sizes
     sums = first_rows[blocks].astype(np.intp)
 
     # The other rows block by block, with those that identify taxels first.
     required_m = least_m(sizes)
     not_sums = by_block[~np.isin(by_block, sums)]
-    not_sums = not_sums[np.lexsort((required_m[not_sums], block_of_row[not_sums]))]
+    identifying_first = np.lexsort((required_m[not_sums], block_of_row[not_sums]))
+    not_sums = not_sums[identifying_first]
 
     # The blocks take turns in proportion to their rows. A row that is needed at a smaller M comes
     # earlier than at its turn; then a part of M is left to the rows before it.
@@ -189,9 +193,10 @@ def spread_order(
     turn = sums.size + np.argsort(turns, kind="stable")
     is_required = required_m <= n
     needed_at = np.where(is_required, required_m - required_m // PART, required_m)
-    place = np.minimum(turn, needed_at[not_sums])
-    not_sums = not_sums[np.argsort(place, kind="stable")]
-    return np.concatenate([sums, not_sums]), by_block
+    places = np.minimum(turn, needed_at[not_sums])
+    not_sums = not_sums[np.argsort(places, kind="stable")]
+    spread = np.concatenate([sums, not_sums])
+    return spread, by_block
 
 
 def least_m(sizes: Sequence[int]) -> Indices:
@@ -216,7 +221,8 @@ def least_m(sizes: Sequence[int]) -> Indices:
         rows = begin + (1 << np.arange(n_bits) >> 1)
         required_m[rows] = n + 1
         if size <= IDENTIFIED and size < sizes[0]:
-            required_m[rows] = min(max(PART * n_identifying, LEAST_M), n + 1)
+            m = max(PART * n_identifying, LEAST_M)
+            required_m[rows] = min(m, n + 1)
     return required_m
 
 
@@ -248,10 +254,12 @@ def split_with_sums(sizes: Sequence[int], by_block: Indices, m: int) -> list[Ind
         n_subsets = max(n / m, n_read / n_beside_sum)
         parts = split_evenly(in_turn, n_beside_sum, math.ceil(n_subsets))
         # One sum in each subset, and the same one again where there are fewer sums than subsets.
-        parts = [np.append(part, sums[k % sums.size]) for k, part in enumerate(parts)]
+        for k, part in enumerate(parts):
+            parts[k] = np.append(part, sums[k % sums.size])
     else:
         parts = split_evenly(np.concatenate([sums, in_turn]), m_in_turn)
-    subsets = [np.sort(np.concatenate([part, always])) for part in parts]
+    complete = [np.concatenate([part, always]) for part in parts]
+    subsets = [np.sort(rows) for rows in complete]
 
     # Samples that share rows are neighbours: in this order they are half the subsets apart.
     return subsets[::2] + subsets[1::2]
@@ -323,12 +331,14 @@ def neighbourhood_order(exists: Mask, side: int, rng: np.random.Generator) -> In
     cells; those at the last rows and columns are smaller.
     """
     n_rows, n_cols = exists.shape
-    number = np.cumsum(exists.ravel()).reshape(exists.shape) - 1
+    counts = np.cumsum(exists.ravel())
+    number = counts.reshape(exists.shape) - 1
     parts = []
     first_cols = list(range(0, n_cols, side))
     for row in range(0, n_rows, side):
+        rows = slice(row, row + side)
         for col in first_cols:
-            window = np.s_[row : row + side, col : col + side]
+            window = rows, slice(col, col + side)
             taxels = number[window][exists[window]]
             parts.append(rng.permutation(taxels))
         # To and fro: a block that goes on in the next neighbourhood stays in one piece of skin.
@@ -343,7 +353,8 @@ def local_class(text: str) -> type[LocalSbhePhi]:
     1..4096.
     """
     # Six digits tell that the number is too large: int() takes long of thousands.
-    if not (text.isascii() and text.isdigit() and 1 <= int(text[:6]) <= MAX_SIDE):
+    is_number = text.isascii() and text.isdigit()
+    if not is_number or not 1 <= int(text[:6]) <= MAX_SIDE:
         expected = f"local:SIDE, the side of a neighbourhood in cells, 1..{MAX_SIDE}"
         raise PhiError(f'phi "local:{text[:40]}": expected {expected}')
     side = int(text)

@@ -6,10 +6,9 @@ import functools
 from copy import copy
 from functools import cached_property
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import numpy as np
-import numpy.typing as npt
 from scipy.sparse import csr_array
 
 from sparseskin.messages.fields import MAX_ELEMENTS
@@ -20,7 +19,7 @@ from sparseskin.nodes.numerics.array_files import (
     read_npy,
     read_npz,
 )
-from sparseskin.nodes.numerics.arrays import Floats
+from sparseskin.nodes.numerics.arrays import AnyArray, Doubles, Floats
 
 from .base import BLOCK, MAX_SUBSETS, Phi, fingerprint_of
 
@@ -81,24 +80,26 @@ class StoredPhi(Phi):
         """
         # The product of two norms, in float64: rounding must not make it too small.
         sizes = abs(self._matrix)
-        of_column = float(sizes.sum(axis=0, dtype=float).max())
-        of_row = float(sizes.sum(axis=1, dtype=float).max())
+        of_columns = sizes.sum(axis=0, dtype=float)
+        of_rows = sizes.sum(axis=1, dtype=float)
+        bound = float(of_rows.max()) * float(of_columns.max())
 
         # A random vector has a part along the largest eigenvector, which each step enlarges most.
-        x = np.random.default_rng(0).standard_normal(self.n, dtype=np.float32)
+        rng = np.random.default_rng(0)
+        x = rng.standard_normal(self.n, dtype=np.float32)
         largest = 0.0
         for _ in range(N_POWER_STEPS):
             x = self._transposed @ (self._matrix @ x)
             largest = float(np.linalg.norm(x))
             x /= np.float32(largest)
-        return min(MARGIN * largest, of_row * of_column)
+        return min(MARGIN * largest, bound)
 
-    def dense(self) -> npt.NDArray[np.float64]:
+    def dense(self) -> Doubles:
         """Return the explicit matrix, float64, shape (m, n)."""
         matrix = self._matrix.astype(np.float64)
         if isinstance(matrix, np.ndarray):
             return matrix
-        full: npt.NDArray[np.float64] = matrix.toarray()
+        full: Doubles = matrix.toarray()
         return full
 
     def _forward(self, x: Floats, out: Floats) -> None:
@@ -136,7 +137,8 @@ def load_matrices(path: str) -> tuple[csr_array, ...]:
         if status.st_size > MAX_FILE_BYTES:
             raise PhiError(f"{status.st_size} bytes; at most {MAX_FILE_BYTES}")
         # A file that was written anew is read anew.
-        return _load(path, (status.st_mtime_ns, status.st_size, status.st_ino))
+        state = status.st_mtime_ns, status.st_size, status.st_ino
+        return _load(path, state)
     except (ArrayFileError, PhiError) as error:
         raise PhiError(f"{path}: {error}") from error
     except (OSError, ValueError) as error:
@@ -151,7 +153,8 @@ def _load(path: str, _of: tuple[int, int, int]) -> tuple[csr_array, ...]:
     if not is_npz(raw):
         return _checked_stack(read_npy(raw))
     arrays = read_npz(raw, _wanted, MAX_ARRAY_BYTES)
-    if len(arrays) == 1 and not arrays.keys() & set(_NAMES):
+    of_scipy = arrays.keys() & set(_NAMES)
+    if len(arrays) == 1 and not of_scipy:
         (stack,) = arrays.values()
         return _checked_stack(stack)
     return (_checked(arrays),)
@@ -164,7 +167,7 @@ def _wanted(names: list[str]) -> list[str]:
     return [name for name in names if name in _NAMES]
 
 
-def _checked_stack(stack: npt.NDArray[Any]) -> tuple[csr_array, ...]:
+def _checked_stack(stack: AnyArray) -> tuple[csr_array, ...]:
     if stack.ndim != 3 or stack.dtype.kind not in "iufb":
         expected = "numbers of 3, (k, m, n), or a file of scipy.sparse.save_npz"
         fault = f"one array, {stack.dtype} of {stack.ndim} dimensions"
@@ -183,7 +186,7 @@ def _checked_stack(stack: npt.NDArray[Any]) -> tuple[csr_array, ...]:
     return tuple(matrices)
 
 
-def _checked(arrays: dict[str, npt.NDArray[Any]]) -> csr_array:
+def _checked(arrays: dict[str, AnyArray]) -> csr_array:
     for name in _NAMES:
         if name not in arrays:
             raise PhiError(
@@ -197,7 +200,8 @@ def _checked(arrays: dict[str, npt.NDArray[Any]]) -> csr_array:
 
     data = arrays["data"]
     for name in ("indices", "indptr", "shape"):
-        if arrays[name].ndim != 1 or arrays[name].dtype.kind not in "iu":
+        numbers = arrays[name]
+        if numbers.ndim != 1 or numbers.dtype.kind not in "iu":
             raise PhiError(f"{name}: expected a list of whole numbers")
     if data.ndim != 1 or data.dtype.kind not in "iufb":
         raise PhiError("data: expected a list of numbers")
@@ -217,7 +221,7 @@ def _checked(arrays: dict[str, npt.NDArray[Any]]) -> csr_array:
     return _finite(matrix)
 
 
-def _in_float32(numbers: npt.NDArray[Any]) -> Floats:
+def _in_float32(numbers: AnyArray) -> Floats:
     # What overflows becomes infinite, and is refused by `_finite`.
     with np.errstate(all="ignore"):
         return numbers.astype(np.float32)
@@ -228,12 +232,16 @@ def _finite(matrix: csr_array) -> csr_array:
     # Not `>`: NaN is no entry, either.
     if not (sizes.data <= MAX_ENTRY).all():
         raise PhiError(f"data: expected finite numbers of at most {MAX_ENTRY:g}")
-    if not (sizes.sum(axis=1) > 0).all():
+    of_rows = sizes.sum(axis=1)
+    if not of_rows.all():
         raise PhiError("data: a row holds zeros alone")
     return matrix
 
 
 def stored_class(path: str) -> type[StoredPhi]:
     """Return the class of a kind "file:PATH", whose file is checked; Raises as the class."""
-    base = StackedPhi if len(load_matrices(path)) > 1 else StoredPhi
-    return type(base.__name__, (base,), {"kind": f"file:{path}", "path": path})
+    base = StoredPhi
+    if len(load_matrices(path)) > 1:
+        base = StackedPhi
+    attributes = {"kind": f"file:{path}", "path": path}
+    return type(base.__name__, (base,), attributes)

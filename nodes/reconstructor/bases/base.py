@@ -47,7 +47,8 @@ class Basis(ABC):
     label: str = ""
 
     def __init__(self, n_rows: int, n_cols: int) -> None:
-        if not (is_whole(n_rows, 1, MAX_SIDE) and is_whole(n_cols, 1, MAX_SIDE)):
+        is_grid = is_whole(n_rows, 1, MAX_SIDE) and is_whole(n_cols, 1, MAX_SIDE)
+        if not is_grid:
             allowed = f"whole numbers 1..{MAX_SIDE}"
             raise SolverError(
                 f"basis: {n_rows!r} x {n_cols!r} is no grid; allowed: {allowed}"

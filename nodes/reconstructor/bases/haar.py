@@ -45,7 +45,9 @@ class SeparableBasis(Basis):
         self._levels: list[tuple[Floats, Floats, Floats]] = []
         for rows, cols in level_sizes(self.n_rows, self.n_cols)[:n_levels]:
             # Those of Haar become 1 and 1/2, which float32 does not round.
-            scale = np.sqrt(2) if rows > 1 and cols > 1 else 1.0
+            scale = 1.0
+            if rows > 1 and cols > 1:
+                scale = np.sqrt(2)
             along_rows = (matrix(rows) * scale).astype(np.float32)
             along_cols = (matrix(cols) / scale).astype(np.float32)
             half = np.zeros((rows, cols), dtype=np.float32)
@@ -98,12 +100,15 @@ def level_matrix(n: int) -> Doubles:
     """Return one level along a side of n: approximations first, float64 (n, n), orthonormal."""
     half = n // 2
     level = np.zeros((n, n))
-    pair = np.arange(half)
-    detail = n - half + pair
-    level[pair, 2 * pair] = np.sqrt(0.5)
-    level[pair, 2 * pair + 1] = np.sqrt(0.5)
-    level[detail, 2 * pair] = np.sqrt(0.5)
-    level[detail, 2 * pair + 1] = -np.sqrt(0.5)
+    sums = np.arange(half)
+    details = sums + n - half
+    even = 2 * sums
+    odd = even + 1
+    # Rows of length 1.
+    level[sums, even] = np.sqrt(0.5)
+    level[sums, odd] = np.sqrt(0.5)
+    level[details, even] = np.sqrt(0.5)
+    level[details, odd] = -np.sqrt(0.5)
     # A sample without a partner goes on as it is.
     if n % 2:
         level[half, n - 1] = 1

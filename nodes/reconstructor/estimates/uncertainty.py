@@ -75,15 +75,23 @@ def deviations(forces: Floats, error: float, mask: Mask) -> Floats:
     q = np.hypot(_roughness(forces), e)
     q *= mask
     mean = q.sum(dtype=np.float64) / np.count_nonzero(mask)
-    sd: Floats = np.float32(SCALE) * e * np.sqrt(q / np.float32(mean))
+
+    # Of the squared error, a taxel has a share in proportion to its q.
+    share = np.sqrt(q / np.float32(mean))
+    sd: Floats = np.float32(SCALE) * e * share
     return sd
 
 
 def _roughness(forces: Floats) -> Floats:
     """Return the sum of both absolute differences to the next taxels, averaged over 3 x 3."""
+    # A taxel at the last row or column has no next one: its difference is 0.
     down = np.diff(forces, axis=0, append=forces[-1:])
     right = np.diff(forces, axis=1, append=forces[:, -1:])
-    edged = np.pad(np.abs(down) + np.abs(right), 1, mode="edge")
-    three = edged[:-2] + edged[1:-1] + edged[2:]
-    rough: Floats = (three[:, :-2] + three[:, 1:-1] + three[:, 2:]) / 9
+    differences = np.abs(down) + np.abs(right)
+
+    # Beyond the edge the differences go on as they are at it.
+    edged = np.pad(differences, 1, mode="edge")
+    of_rows = edged[:-2] + edged[1:-1] + edged[2:]
+    sums = of_rows[:, :-2] + of_rows[:, 1:-1] + of_rows[:, 2:]
+    rough: Floats = sums / 9
     return rough

@@ -36,17 +36,21 @@ class OffsetRows:
     """
 
     def __init__(self, phi: Phi) -> None:
+        # Squared cosine of a taxel's press and an offset; a row has a length of about 1.
         sums = phi.adjoint(np.ones(phi.m, dtype=np.float32))
-        alike = phi.n / phi.m**2 * float(np.square(sums).max())
+        largest = float(np.square(sums).max())
+        alike = phi.n / phi.m**2 * largest
         self.is_told_apart = alike <= MOST_ALIKE
 
-        size = np.abs(phi.forward(np.ones(phi.n, dtype=np.float32)))
+        of_even_press = phi.forward(np.ones(phi.n, dtype=np.float32))
+        size = np.abs(of_even_press)
         self.light: Mask = shared(size <= HEAVY * size.max())
         # Rows ascend: those of a block follow one another.
         is_first = np.diff(_blocks_of(phi), prepend=-1) > 0
         self.starts = np.flatnonzero(is_first)
         self.block = shared(np.cumsum(is_first) - 1)
-        n_light = np.add.reduceat(self.light.astype(np.float32), self.starts)
+        ones = self.light.astype(np.float32)
+        n_light = np.add.reduceat(ones, self.starts)
         self.n_light: Floats = np.maximum(n_light, 1)
 
 
@@ -96,21 +100,26 @@ class OffsetWatch:
         # Half of the time of `mean`, which looks for axes and types.
         mean = np.add.reduce(innovation) / innovation.size
         change = float(mean) - self.value
-        # As in nearly all frames.
-        if innovation.size * change**2 <= (SIGNIFICANT * self._noise_sd) ** 2 / 2:
+        # As in nearly all frames: far from significant.
+        significant = SIGNIFICANT * self._noise_sd
+        if innovation.size * change**2 <= significant**2 / 2:
             return self.value
 
         # The variance within blocks: a contact that presses some of them is none of it.
-        light = np.where(rows.light, innovation - np.float32(self.value), 0)
-        means = np.add.reduceat(light, rows.starts) / rows.n_light
-        common = float(light.sum() / rows.n_light.sum())
+        changes = innovation - np.float32(self.value)
+        light = np.where(rows.light, changes, 0)
+        sums = np.add.reduceat(light, rows.starts)
+        means = sums / rows.n_light
         within = rows.light * (light - means[rows.block])
-        variance = max(float(within @ within) / innovation.size, self._noise_sd**2)
+        mean_square = float(within @ within) / innovation.size
+        variance = max(mean_square, self._noise_sd**2)
 
         # The offset changes where the common change is significant, and no block contradicts it.
+        common = float(light.sum() / rows.n_light.sum())
         weight = innovation.size / variance
+        is_significant = weight * common**2 > SIGNIFICANT**2
         z2_of_blocks = rows.n_light * np.square(means - common) / variance
-        if weight * common**2 > SIGNIFICANT**2 and z2_of_blocks.max() < UNLIKE**2:
+        if is_significant and z2_of_blocks.max() < UNLIKE**2:
             self.value += common
             # One that has gone leaves no rest behind.
             if weight * self.value**2 < SIGNIFICANT**2:

@@ -118,7 +118,8 @@ class RepeatWatch:
         if n_lowest == y.size and y.size >= n_least:
             return Reason.CONSTANT
         # Of a few quantised measurements, all may repeat by chance: each with one half at most.
-        if self._n_frozen >= FRAMES and 0.5 ** (self._n_frozen * y.size) < CHANCE:
+        chance = 0.5 ** (self._n_frozen * y.size)
+        if self._n_frozen >= FRAMES and chance < CHANCE:
             return Reason.FROZEN
         n_highest = int(np.count_nonzero(y == y.max()))
         if max(n_lowest, n_highest) >= n_least:
@@ -133,7 +134,8 @@ class RepeatWatch:
         if n_equal:
             if state.n_repeats is None:
                 state.n_repeats = np.zeros(y.size, dtype=np.int64)
-            state.n_repeats = np.where(repeats, state.n_repeats + 1, 0)
+            state.n_repeats += 1
+            state.n_repeats[~repeats] = 0
             if has_noise:
                 self._mark(state.n_repeats, step_of(y) > 0)
         else:
@@ -151,7 +153,8 @@ class RepeatWatch:
             # The mean probability to repeat is at least the square of the largest one.
             chance = math.sqrt(chance)
         # After so many repeats no chance is left.
-        n_needed = math.ceil(math.log(CHANCE) / math.log(min(chance, MOST_LIKELY)))
+        chance = min(chance, MOST_LIKELY)
+        n_needed = math.ceil(math.log(CHANCE) / math.log(chance))
         faulty = n_repeats >= n_needed
         if faulty.any():
             self.faulty = faulty
@@ -172,4 +175,6 @@ def _are_equal(last_y: Floats | None, y: Floats) -> bool:
     if last_y is None or last_y.size != y.size:
         return False
     # The first ones differ in nearly all frames.
-    return last_y[0] == y[0] and bool(np.array_equal(last_y, y))
+    if last_y[0] != y[0]:
+        return False
+    return np.array_equal(last_y, y)

@@ -129,7 +129,8 @@ class FaultWatch:
             return None
 
         believed = y
-        if self._watch_rows and hasattr(solver, "expected") and self._mixes(phi):
+        predicts = hasattr(solver, "expected")
+        if self._watch_rows and predicts and self._mixes(phi):
             believed = self._without_offset(solver, phi, believed)
             solver.faulty = self._repeats.faulty
         return believed
@@ -148,7 +149,8 @@ class FaultWatch:
         # What is expected takes a transform: it is not computed where no offset can be seen.
         if self._offset is None or not self._offset.rows_of(phi).is_told_apart:
             return y
-        offset = self._offset.look(phi, np.asarray(y - solver.expected(phi)))
+        innovation = np.asarray(y - solver.expected(phi))
+        offset = self._offset.look(phi, innovation)
         has_offset = offset != 0
         # Only its begin and its end are worth a line.
         if has_offset != self._was_offset:
@@ -168,12 +170,14 @@ class FaultWatch:
         self._follow_doubt(solver, phi)
         forces, is_beyond = self._within_range(forces)
         self._last_forces = forces
-        return self._verdict(forces, self._reason(solver, forces, is_beyond=is_beyond))
+        reason = self._reason(solver, forces, is_beyond=is_beyond)
+        return Verdict(forces, reason, self._rows_doubted)
 
     def nothing(self) -> Verdict:
         """The verdict of a frame that holds nothing: the last forces, not trusted."""
         assert self._received is not None
-        return self._verdict(self.last_forces, self._received)._replace(is_solved=False)
+        forces = self.last_forces
+        return Verdict(forces, self._received, self._rows_doubted, is_solved=False)
 
     def _mixes(self, phi: Phi) -> bool:
         """True if each measurement sums several taxels: single ones repeat where they are 0."""
@@ -185,9 +189,6 @@ class FaultWatch:
             self._mixing[phi.fingerprint] = mixes
         return mixes
 
-    def _verdict(self, forces: Floats, reason: str) -> Verdict:
-        return Verdict(forces, reason, self._rows_doubted)
-
     def _follow_doubt(self, solver: Solver, phi: Phi) -> None:
         """Follow the doubt of each measurement of a row subset."""
         doubt = getattr(solver, "doubt", None)
@@ -198,6 +199,7 @@ class FaultWatch:
             last_mean = np.zeros(phi.m, dtype=np.float32)
         mean = last_mean + np.float32(DOUBT_RATE) * (doubt - last_mean)
         self._doubts[phi.fingerprint] = mean
+
         # As in nearly all frames.
         if not self._rows_doubted and mean.max() <= DOUBTED:
             return
@@ -214,9 +216,11 @@ class FaultWatch:
             self._note("rows", f"{fault}: {listed(new)}")
 
     def _doubted_rows(self) -> tuple[int, ...]:
+        # Those of any row subset.
         rows: set[int] = set()
         for mean in self._doubts.values():
-            rows.update(np.flatnonzero(mean > DOUBTED).tolist())
+            doubted = np.flatnonzero(mean > DOUBTED)
+            rows.update(doubted.tolist())
         return tuple(sorted(rows))
 
     def _within_range(self, forces: Floats) -> tuple[Floats, bool]:
@@ -272,13 +276,16 @@ def solve_watched(solver: Solver, watch: FaultWatch, phi: Phi, y: Floats) -> Ver
 def mixed_taxels(phi: Phi) -> float:
     """Return the median participation ratio of some rows: how many taxels a row sums."""
     ratios = []
-    for row in np.linspace(0, phi.m - 1, min(N_PROBED, phi.m)).astype(np.intp):
+    rows = np.linspace(0, phi.m - 1, min(N_PROBED, phi.m))
+    for row in rows.astype(np.intp):
         unit = np.zeros(phi.m, dtype=np.float32)
         unit[row] = 1
-        # It is the number of taxels where all of them have the same weight.
         weights = np.square(phi.adjoint(unit), dtype=np.float64)
-        ratios.append(weights.sum() ** 2 / max(np.square(weights).sum(), TINY))
-    return float(sorted(ratios)[len(ratios) // 2])
+        # It is the number of taxels where all of them have the same weight.
+        squares = np.square(weights).sum()
+        ratios.append(weights.sum() ** 2 / max(squares, TINY))
+    ratios.sort()
+    return float(ratios[len(ratios) // 2])
 
 
 def listed(names: Sequence[object] | Indices) -> str:
@@ -296,7 +303,8 @@ def watch_of(solver: Solver) -> FaultWatch:
         f_max = math.inf
         if solver.noise_model is not None:
             f_max = solver.noise_model.f_max
-        solver.watch = FaultWatch(Noise(f_max, solver.noise_sd), solver.mask.shape)
+        noise = Noise(f_max, solver.noise_sd)
+        solver.watch = FaultWatch(noise, solver.mask.shape)
     watch: FaultWatch = solver.watch
     return watch
 

@@ -35,13 +35,18 @@ def shrink(windows: Floats, part: Floats | None = None) -> tuple[Floats, Floats]
     count = groups.sum(axis=-1)
     coefficients = inner(windows) @ analysis.T
     energy = coefficients**2 @ groups.T
-    gain = 1 / (1 + (STRICT * count / (energy + LEAST)) ** 2)
+    noise_share = STRICT * count / (energy + LEAST)
+    gain = 1 / (1 + noise_share**2)
 
-    divergence = (gain * (count + 4 * (1 - gain))).sum(axis=-1)
-    removed = ((1 - gain) ** 2 * energy).sum(axis=-1)
-    error = ((removed + 2 * divergence) / TILE**2 - 1).clip(QUIET, 1)
+    # Stein: the error of a coefficient is what was removed, plus twice its divergence, less 1.
+    loss = 1 - gain
+    divergence = (gain * (count + 4 * loss)).sum(axis=-1)
+    removed = (loss**2 * energy).sum(axis=-1)
+    error = (removed + 2 * divergence) / TILE**2 - 1
+    error = error.clip(QUIET, 1)
 
-    tiles = (coefficients * (gain @ groups) @ analysis).clip(0, None)
+    shrunk = coefficients * (gain @ groups)
+    tiles = (shrunk @ analysis).clip(0, None)
     if part is None:
         part = standing_out(windows)
     return part[:, None] * tiles, QUIET + part * (error - QUIET)
@@ -59,12 +64,12 @@ def _haar() -> tuple[Floats, Floats]:
             groups.append([len(rows), len(rows) + 1, len(rows) + 2])
             for down, across in ((sign, flat), (flat, sign), (sign, sign)):
                 detail = np.zeros((TILE, TILE))
-                detail[row * size :, col * size :][:size, :size] = np.outer(
-                    down, across
-                )
+                corner = detail[row * size :, col * size :]
+                corner[:size, :size] = np.outer(down, across)
                 rows.append(detail)
 
+    analysis = np.array(rows, dtype=np.float32).reshape(-1, TILE**2)
     is_member = np.zeros((len(groups), TILE**2), dtype=np.float32)
     for group, places in enumerate(groups):
         is_member[group, places] = 1
-    return np.array(rows, dtype=np.float32).reshape(-1, TILE**2), is_member
+    return analysis, is_member

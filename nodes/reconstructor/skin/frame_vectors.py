@@ -111,9 +111,8 @@ class FrameVectors(Vectors):
 
     def _doubt_values(self, subset: RowSubset, noise: float) -> None:
         """Set the part of each value that is doubted, and the variance that it adds."""
-        squares = np.square(
-            self._values - self._x_rows[self._rows.read], dtype=np.float64
-        )
+        change = self._values - self._x_rows[self._rows.read]
+        squares = np.square(change, dtype=np.float64)
         self.doubt = np.zeros(len(squares), dtype=np.float32)
         for number in range(subset.n_blocks):
             peers = np.flatnonzero(subset.block == number)
@@ -122,8 +121,10 @@ class FrameVectors(Vectors):
             of_peers = squares[peers]
             second, largest = np.partition(of_peers, -2)[-2:]
             largest_other = np.where(of_peers == largest, second, largest)
-            others = (of_peers.sum() - of_peers - largest_other) / (len(peers) - 2)
-            ratio = of_peers / (self._tuning.outlying * (others + noise) + TINY)
+            # A second outlier must not excuse the first.
+            sum_of_others = of_peers.sum() - of_peers - largest_other
+            expected = sum_of_others / (len(peers) - 2) + noise
+            ratio = of_peers / (self._tuning.outlying * expected + TINY)
             power = np.minimum(ratio, CLEAR_RATIO) ** 4
             self.doubt[peers] = power / (1 + power)
         self.doubt = np.maximum(self.doubt, subset.faulty)
@@ -159,10 +160,10 @@ class FrameVectors(Vectors):
     def predict(self, motion: Motion) -> Innovation:
         read = self._rows.read
         growth, down, across = (np.float32(weight) for weight in motion[:3])
-        moved = self.x + (
-            growth * self.x + down * self._slopes[0] + across * self._slopes[1]
-        )
-        self._predicted = np.minimum(moved.clip(0, None), np.float32(motion.bound))
+        down_slope, across_slope = self._slopes
+        change = growth * self.x + down * down_slope + across * across_slope
+        moved = (self.x + change).clip(0, None)
+        self._predicted = np.minimum(moved, np.float32(motion.bound))
         self._predicted_rows = self._rows.forward(self._predicted)
         self.predicted = self._predicted_rows[read]
         self.innovation = self._certain * (self._values - self.predicted)
@@ -200,7 +201,8 @@ class FrameVectors(Vectors):
         read = self._rows.read
         grown = growth * self._x_rows
         translated = (self._predicted_rows - self._x_rows) - grown
-        unexpected = self._certain * (self._values - self._mean[read]) * self._is_known
+        off_mean = self._values - self._mean[read]
+        unexpected = self._certain * off_mean * self._is_known
 
         of_growth = grown[read] * self._is_known
         of_translation = translated[read] * self._is_known
@@ -219,14 +221,16 @@ class FrameVectors(Vectors):
 
     def _set_targets(self, variances: RowVariances) -> None:
         """Combine the prediction and the filter of each row, by their precisions."""
-        self._change = (self._change + np.float32(variances.change)).clip(None, UNKNOWN)
+        grown = self._change + np.float32(variances.change)
+        self._change = grown.clip(None, UNKNOWN)
         change = self._tuning.of_dependent(
             self._change.astype(np.float64), variances.noise
         )
         change_32 = change.clip(None, UNKNOWN).astype(np.float32)
         prior: Any = np.float32(variances.prediction)
         of_filter = self._variance + change_32
-        share = prior / (prior + of_filter)
+        total = prior + of_filter
+        share = prior / total
         correction = share * (self._mean - self._predicted_rows)
 
         recalled: Any = self._recall.follow(
@@ -240,7 +244,7 @@ class FrameVectors(Vectors):
         # Between the variances without the filter and with it, by their logarithms: the mean of the
         # variances would be that of the prediction as soon as a part of it counts, so that an
         # estimate that has not converged never would.
-        self._target_variance = prior * (of_filter / (prior + of_filter)) ** recalled
+        self._target_variance = prior * (of_filter / total) ** recalled
 
     def _read_values(self, variances: RowVariances) -> None:
         """Update the targets and the filters of the rows read by their values."""
@@ -280,8 +284,11 @@ class FrameVectors(Vectors):
             step = self._step(k, plan)
             plan = step.plan
             n_busy = step.n_busy
-            n_tiles += n_busy // FORMULA_SHARE if k < plan.n_formula else n_busy
-            if k >= plan.n_formula:
+            # A step by the formula takes a part of the time of the weights.
+            if k < plan.n_formula:
+                n_tiles += n_busy // FORMULA_SHARE
+            else:
+                n_tiles += n_busy
                 estimates.append(step.x)
                 own.append(step.own)
                 expected2.append(step.error2)
@@ -291,9 +298,8 @@ class FrameVectors(Vectors):
         # Errors of steps with other tiles differ: their mean has less.
         weights = self._weights_of(np.array(residual2), plan)
         self._estimate = np.zeros_like(self._z)
-        for weight, x, added in zip(
-            weights.astype(np.float32), estimates, own, strict=True
-        ):
+        of_steps = zip(weights.astype(np.float32), estimates, own, strict=True)
+        for weight, x, added in of_steps:
             self._estimate += weight * x
             self._own += weight * added
         numbers = plan.n_formula, k - plan.n_formula, n_tiles
@@ -304,9 +310,8 @@ class FrameVectors(Vectors):
         of an iteration that diverges, the steps before it does count.
         """
         tuning = self._tuning
-        rising = np.arange(1, len(residual2) + 1) / max(
-            1, plan.n + 1 - tuning.fully_averaged
-        )
+        n_rising = max(1, plan.n + 1 - tuning.fully_averaged)
+        rising = np.arange(1, len(residual2) + 1) / n_rising
         weights: Doubles = np.minimum(rising, 1) ** tuning.rise_power
         weights /= (residual2 + plan.floor) ** tuning.residual_power
         weights /= weights.sum()
@@ -330,14 +335,17 @@ class FrameVectors(Vectors):
         tau = max(off2 - plan.target_variance, least_tau) + plan.floor
 
         # u is the truth and noise of deviation s.
-        weight = np.float32(tau) / (np.float32(tau) + self._target_variance)
+        tau_32 = np.float32(tau)
+        weight = tau_32 / (tau_32 + self._target_variance)
         mean_weight = _total(weight) / self._rows.n
         s2 = tau * max(1 - mean_weight, 0.0) / mean_weight + plan.floor
         s = np.float32(math.sqrt(s2))
         weighted: Any = weight * off
         u = z + self._rows.adjoint(weighted) / np.float32(mean_weight)
 
-        windows = self._tiles.windows(np.concatenate([u / s, NOTHING]), shift)
+        # The last place is read where there is no taxel.
+        taxels = np.concatenate([u / s, NOTHING])
+        windows = self._tiles.windows(taxels, shift)
         part = standing_out(windows, self._tiles.strictness)
         n_busy = int(np.count_nonzero(part))
         if k == 0:
@@ -362,7 +370,8 @@ class FrameVectors(Vectors):
 
     def settle(self, blend: Blend, ones: Floats) -> Settled:
         part: Any = np.float32(blend.part)
-        self.start_from((1 - part) * self._estimate + part * self._predicted)
+        x = (1 - part) * self._estimate + part * self._predicted
+        self.start_from(x)
         self._correction = self._x_rows - self._predicted_rows
         self.residual = self._certain * (self._values - self._x_rows[self._rows.read])
 
@@ -372,8 +381,8 @@ class FrameVectors(Vectors):
         x_read = self._x_rows[self._rows.read]
 
         # A taxel within the noise counts as unpressed.
-        x = self.x
-        near = (x / np.float32(2 * blend.noise_sd + math.sqrt(TINY))).clip(None, 8)
+        within = np.float32(2 * blend.noise_sd + math.sqrt(TINY))
+        near = (x / within).clip(None, 8)
         unpressed = np.exp(-near * near)
         return Settled(
             forces=_unclipped(x, blend),
@@ -397,9 +406,11 @@ def noise_squares(
     """Return `Innovation.noise_squares`, by the innovation of a frame, the last one of the same
     rows, the change of their prediction between the two, and the squared length of the first.
     """
+    # What fell in proportion to the change of the prediction was no noise.
     fall = last - innovation
     part = _dot(fall, change) / (_dot(change, change) + TINY)
-    fall = fall - np.float32(min(max(part, 0.0), 1.0)) * change
+    part_32 = np.float32(min(max(part, 0.0), 1.0))
+    fall = fall - part_32 * change
 
     # Each of the innovations shows the noise of its own, the less precisely the larger it is.
     last_squares = _dot(last, last)

@@ -83,8 +83,9 @@ class NoiseLevel:
 
         # Of an untouched taxel it is the least one so far, of which sampling errors are known.
         if frame.n_read >= tuning.least_read:
-            spread = math.sqrt(2 / frame.n_read)
-            bound = (1 + tuning.significant * spread) * self.least
+            sampling_error = tuning.significant * math.sqrt(2 / frame.n_read)
+            bound = (1 + sampling_error) * self.least
+            # Pressed taxels may have more of it.
             bound = bound * (1 + tuning.pressed_noise * self._pressed)
             level = min(level, bound)
         return level, min(tuning.bias_forgotten * self.least, level)

@@ -123,7 +123,10 @@ class PredictionError:
         tuning = self._tuning
         self.significant = tuning.surplus(e2, noise, n_read)
 
-        average = self.variance + tuning.signal_rate * (e2 - noise - self.variance)
-        bound = max(e2 - noise, 0.0) + 2 * noise * math.sqrt(2 / n_read)
+        excess = e2 - noise
+        average = self.variance + tuning.signal_rate * (excess - self.variance)
+        # Two standard deviations of a mean square of noise.
+        sampling_error = 2 * noise * math.sqrt(2 / n_read)
+        bound = max(excess, 0.0) + sampling_error
         self.variance = max(min(average, bound), self.significant / 2)
         return max(max(self.variance, self.significant), 0.0)

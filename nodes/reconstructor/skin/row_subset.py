@@ -50,9 +50,8 @@ class FrameNumbers(NamedTuple):
     read: float  # share of them in the number of taxels
     floor: float  # least variance: the resolution of the measurements
     repeated: float  # part of the measurements that repeats the last ones of this subset, 0 to 1
-    silent: (
-        float  # part by which they are 0 beside those before: 1 where nothing presses
-    )
+    silent: float
+    """Part by which they are 0 beside those before: 1 where nothing presses."""
 
 
 class Level:
@@ -76,8 +75,10 @@ class Level:
 
     def follow(self, rms: float, silent: float) -> None:
         """Update the level by a frame."""
-        kept = silent * SILENCE_KEPT + (1 - silent) * LEVEL_KEPT
-        self.value = max(min(rms, self.last), kept * self.value)
+        part = silent * SILENCE_KEPT + (1 - silent) * LEVEL_KEPT
+        # The lesser of two frames: one of them may be garbage.
+        of_frames = min(rms, self.last)
+        self.value = max(of_frames, part * self.value)
         self.last = rms
 
 
@@ -112,14 +113,16 @@ class RowSubset:
     def __init__(self, rows: Rows, m: int) -> None:
         self._n_taxels = rows.n
         all_ones = np.ones(rows.n, dtype=np.float32)
-        self.ones = shared(rows.forward(all_ones)[rows.read])
+        of_all_rows = rows.forward(all_ones)
+        self.ones = shared(of_all_rows[rows.read])
         self.ones_energy = float(self.ones @ self.ones)
         self.block = _comparable(rows.blocks, self.ones)
         self.n_blocks = int(self.block.max(initial=-1)) + 1
+        n_read = len(self.ones)
         self.y = np.zeros(m, dtype=np.float32)
-        self.innovation = np.zeros(len(self.ones), dtype=np.float32)
-        self.predicted = np.zeros(len(self.ones), dtype=np.float32)
-        self.faulty = np.zeros(len(self.ones), dtype=np.float32)
+        self.innovation = np.zeros(n_read, dtype=np.float32)
+        self.predicted = np.zeros(n_read, dtype=np.float32)
+        self.faulty = np.zeros(n_read, dtype=np.float32)
         self.was_read = False
 
     def keep(self, y: Floats, innovation: Floats, predicted: Floats) -> None:
@@ -138,8 +141,9 @@ class RowSubset:
         # The state has the rounding of the last frame.
         power = comparison.power + level.value**2 + level.last**2
         floor = max(RESOLUTION**2 * power, TINY)
-        level.follow(comparison.without_largest(len(self.ones)), silent)
+
         n_read = len(self.ones)
+        level.follow(comparison.without_largest(n_read), silent)
         return FrameNumbers(n_read, n_read / self._n_taxels, floor, repeated, silent)
 
 

@@ -119,10 +119,14 @@ class HadamardRows(Rows):
             layout = _layout_of(phi)
             places = self._place_of_row[layout.rows]
             order = np.argsort(places)
-            blocks = None if layout.blocks is None else shared(layout.blocks[order])
-            read = shared(places[order])
+            blocks = None
+            if layout.blocks is not None:
+                blocks = shared(layout.blocks[order])
             self._subsets[phi.fingerprint] = ReadRows(
-                read, shared(order), shared(places), blocks
+                read=shared(places[order]),
+                order=shared(order),
+                places=shared(places),
+                blocks=blocks,
             )
         return self._subsets[phi.fingerprint]
 
@@ -157,8 +161,10 @@ class CompiledRows(HadamardRows):
         ready(orthonormal)
         self._loop = orthonormal
         columns, self.groups = side_by_side(sizes)
+        # Rows have the places of the columns: the transform is symmetric.
         of_rows = np.repeat(sizes, sizes)[columns]
-        self.scale: Floats = shared(np.reciprocal(np.sqrt(of_rows)).astype(np.float32))
+        scale = np.reciprocal(np.sqrt(of_rows))
+        self.scale: Floats = shared(scale.astype(np.float32))
         return columns, columns
 
     def forward(self, x: Floats) -> Floats:
@@ -167,7 +173,8 @@ class CompiledRows(HadamardRows):
         return rows
 
     def adjoint(self, rows: Floats) -> Floats:
-        return self.forward(rows)  # W is symmetric
+        # W is symmetric.
+        return self.forward(rows)
 
 
 class WhitenedRows(Rows):
@@ -189,7 +196,10 @@ class WhitenedRows(Rows):
         if phi.fingerprint not in self._subsets:
             self._subsets[phi.fingerprint] = phi, _whitening(phi)
         self._phi, self._mix = self._subsets[phi.fingerprint]
-        self.n_rows = phi.m if self._mix is None else len(self._mix)
+        self.n_rows = phi.m
+        if self._mix is not None:
+            self.n_rows = len(self._mix)
+        # All rows of this W are read: that of another subset is another W.
         self.read = np.arange(self.n_rows)
         return phi.fingerprint == last_phi.fingerprint
 
@@ -221,10 +231,13 @@ def _whitening(phi: Phi) -> Floats | None:
     """Return D^(-1/2) Q^T, float32 (n_rows, m); None for orthonormal rows."""
     dense = np.asarray(phi.dense(), dtype=np.float64)
     gram = dense @ dense.T
-    if np.abs(gram - np.eye(phi.m)).max() < ORTHONORMAL:
+    deviations = np.abs(gram - np.eye(phi.m))
+    if deviations.max() < ORTHONORMAL:
         return None
+    # In ascending order.
     values, vectors = np.linalg.eigh(gram)
-    is_measured = values > max(LEAST_PART * values[-1], TINY)
+    bound = max(LEAST_PART * values[-1], TINY)
+    is_measured = values > bound
     columns = vectors[:, is_measured] / np.sqrt(values[is_measured])
     return np.ascontiguousarray(columns.T, dtype=np.float32)
 

@@ -216,7 +216,17 @@ class SkinSolver(CountsTiles):
         self.times = frame_tiles, step_tiles
 
     def steps_for(self, n_tiles: int) -> tuple[int, int]:
-        plan = StepPlan(N_FORMULA, 1, 0, *self._estimator.times, self.n_steps, 0.0, 0.0)
+        # What is 0 does not matter: there is no frame.
+        plan = StepPlan(
+            n_formula=N_FORMULA,
+            n=1,
+            first_shift=0,
+            frame_tiles=self._estimator.times.frame,
+            step_tiles=self._estimator.times.step,
+            most=self.n_steps,
+            target_variance=0.0,
+            floor=0.0,
+        )
         plan = steps_for(plan, n_tiles)
         return plan.n_formula, plan.n
 

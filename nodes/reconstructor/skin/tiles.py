@@ -4,12 +4,10 @@ from __future__ import annotations
 
 import math
 from functools import lru_cache
-from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
-from sparseskin.nodes.numerics.arrays import Floats, Indices, Mask
+from sparseskin.nodes.numerics.arrays import AnyArray, Floats, Indices, Mask
 
 TILE = 8
 """Side of a tile, in taxels."""
@@ -29,8 +27,10 @@ REFERENCE_WINDOWS = 81
 def inner(windows: Floats) -> Floats:
     """The tile of each window: (t, 144) to (t, 64)."""
     side = slice(WINDOW_MARGIN, WINDOW_MARGIN + TILE)
-    squares = windows.reshape(*windows.shape[:-1], WINDOW, WINDOW)
-    return squares[..., side, side].reshape(*windows.shape[:-1], TILE * TILE)
+    n = windows.shape[:-1]
+    squares = windows.reshape(*n, WINDOW, WINDOW)
+    tiles = squares[..., side, side]
+    return tiles.reshape(*n, TILE * TILE)
 
 
 class Tiles:
@@ -71,40 +71,47 @@ class Tiles:
         self.places = np.full(shape, n, dtype=np.intp)
         self.places.reshape(-1)[cells] = np.arange(n)
 
+        # Cell -1 has no taxel: those that are near none read it.
         mask = self.places < n
-        nearest = np.append(self.places.reshape(-1), n)[nearest_taxels(mask)]
+        place_of_cell = np.append(self.places.reshape(-1), n)
+        nearest = place_of_cell[nearest_taxels(mask)]
         self.canvas = np.pad(nearest, MARGIN, constant_values=n)
 
         exists = np.pad(mask, MARGIN).astype(np.float32)
-        self.shares = tuple(
-            inner(self.cut(exists, number)).sum(axis=1) / np.float32(n)
-            for number in range(len(SHIFTS))
-        )
-        self.most = max(map(len, self.shares))
+        shares = []
+        for number in range(len(SHIFTS)):
+            tiles = inner(self.cut(exists, number))
+            shares.append(tiles.sum(axis=1) / np.float32(n))
+        self.shares = tuple(shares)
+        self.most = max(map(len, shares))
 
+        # One more along a side than fit: where it is shifted, both ends have a part of one.
         n_windows = math.prod(-(-side // TILE) + 1 for side in shape)
-        strictness = math.sqrt(math.log(n_windows) / math.log(REFERENCE_WINDOWS))
-        self.strictness = min(max(strictness, 1e-6), 1.0)
+        power = math.log(n_windows) / math.log(REFERENCE_WINDOWS)
+        self.strictness = min(max(math.sqrt(power), 1e-6), 1.0)
 
-    def cut(self, canvas: npt.NDArray[Any], number: int) -> npt.NDArray[Any]:
+    def cut(self, canvas: AnyArray, number: int) -> AnyArray:
         """Windows of a canvas at a shift, by its number: (rows, columns) to (t, 144)."""
         row, col = (MARGIN - WINDOW_MARGIN - shift for shift in SHIFTS[number])
         shifted = canvas[row:, col:]
-        windows = np.lib.stride_tricks.sliding_window_view(shifted, (WINDOW, WINDOW))
-        return windows[::TILE, ::TILE].reshape(-1, WINDOW * WINDOW)
+        side = (WINDOW, WINDOW)
+        at_each_cell = np.lib.stride_tricks.sliding_window_view(shifted, side)
+        windows = at_each_cell[::TILE, ::TILE]
+        return windows.reshape(-1, WINDOW * WINDOW)
 
     def windows(self, taxels: Floats, number: int) -> Floats:
         """Windows of a vector of taxels, (n + 1,), at a shift: (t, 144)."""
         return self.cut(taxels[self.canvas], number)
 
-    def taxels(self, tiles: npt.NDArray[Any], number: int) -> npt.NDArray[Any]:
+    def taxels(self, tiles: AnyArray, number: int) -> AnyArray:
         """The vector of taxels, (n,), of tiles at a shift, (t, 64)."""
         n_rows, n_cols = self.shape
         row, col = SHIFTS[number]
         n_across = -(-(n_cols + col) // TILE)
-        squares = tiles.reshape(-1, n_across, TILE, TILE).swapaxes(1, 2)
-        image = squares.reshape(-1, n_across * TILE)
-        return image[row : row + n_rows, col : col + n_cols].reshape(-1)[self.cells]
+        squares = tiles.reshape(-1, n_across, TILE, TILE)
+        image = squares.swapaxes(1, 2).reshape(-1, n_across * TILE)
+        skin = image[row : row + n_rows, col : col + n_cols]
+        return skin.reshape(-1)[self.cells]
 
 
 def tiles_of(shape: tuple[int, ...], cells: Indices) -> Tiles:
@@ -125,12 +132,14 @@ def nearest_taxels(mask: Mask) -> Indices:
     """
     if mask.all():
         return np.arange(mask.size).reshape(mask.shape)
-    from scipy import (
-        ndimage,
-    )  # half the time of the start of a process: only where it is needed
+    # Half the time of the start of a process: only where it is needed.
+    from scipy import ndimage
 
     distance, (row, col) = ndimage.distance_transform_edt(~mask, return_indices=True)
-    return np.where(distance < 1.5, row * mask.shape[1] + col, mask.size)
+    # A diagonal neighbour is at 1.41.
+    is_neighbour = distance < 1.5
+    nearest = row * mask.shape[1] + col
+    return np.where(is_neighbour, nearest, mask.size)
 
 
 def neighbours_of(tiles: Tiles) -> Indices:
@@ -148,5 +157,6 @@ def neighbours_of(tiles: Tiles) -> Indices:
     for side, shifted in enumerate((following, previous)):
         for axis, neighbour in enumerate(shifted):
             or_itself = np.where(neighbour < n, neighbour, places)
-            neighbours[side, axis, places[exists]] = or_itself[exists]
+            of_taxels = neighbours[side, axis]
+            of_taxels[places[exists]] = or_itself[exists]
     return neighbours

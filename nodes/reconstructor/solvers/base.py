@@ -5,7 +5,7 @@ from __future__ import annotations
 import inspect
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -251,13 +251,14 @@ class Solver(ABC):
     def _finite(self, forces: Floats) -> Floats:
         """Return forces that are finite; or forget all frames, and raise SolverError."""
         # The sum of squares is finite if all of them are, unless it overflows.
-        if not (math.isfinite(np.vdot(forces, forces)) or np.isfinite(forces).all()):
-            self.reset()
-            raise SolverError(
-                f"{self.name}: the iteration diverged, and starts anew with the next frame: is "
-                "phi.lipschitz too small?"
-            )
-        return forces
+        energy = np.vdot(forces, forces)
+        if math.isfinite(energy) or np.isfinite(forces).all():
+            return forces
+        self.reset()
+        raise SolverError(
+            f"{self.name}: the iteration diverged, and starts anew with the next frame: is "
+            "phi.lipschitz too small?"
+        )
 
     def _checked_y(self, y: Floats) -> Floats:
         """Return y as contiguous float32, or raise SolverError."""
@@ -391,13 +392,7 @@ def make_solver(
     if of_phi is not None:
         cls = solver_class(of_phi)
     parameters = inspect.signature(cls).parameters
-    options = [p for p in parameters if p not in ("phi", "basis", "mask", "fast")]
-    takes_any = any(p.kind is p.VAR_KEYWORD for p in parameters.values())
-    for setting in settings:
-        if setting not in options and not takes_any:
-            raise SolverError(
-                f'solver "{name}": setting "{setting}" is not known{did_you_mean(setting, options)}'
-            )
+    _check_settings(name, settings, parameters)
     # A wrong word is refused by each solver, one without compiled loops too.
     check_fast(fast)
     if "fast" in parameters:
@@ -414,6 +409,22 @@ def make_solver(
     return solver
 
 
+def _check_settings(
+    name: str, settings: Iterable[str], parameters: Mapping[str, inspect.Parameter]
+) -> None:
+    """Raise SolverError for a setting that the constructor of a solver does not take."""
+    takes_any = any(p.kind is p.VAR_KEYWORD for p in parameters.values())
+    if takes_any:
+        return
+    # The others are stated by who makes it.
+    options = [p for p in parameters if p not in ("phi", "basis", "mask", "fast")]
+    for setting in settings:
+        if setting not in options:
+            fault = f'setting "{setting}" is not known'
+            guess = did_you_mean(setting, options)
+            raise SolverError(f'solver "{name}": {fault}{guess}')
+
+
 def checked_measurements(y: Floats, m: int, y_max: float) -> Floats:
     """Return m measurements y as contiguous float32; raise SolverError where one is not finite or
     beyond +-y_max.
@@ -424,12 +435,13 @@ def checked_measurements(y: Floats, m: int, y_max: float) -> Floats:
     # The sum of squares is found far sooner than the extremes, and is hardly ever as large.
     if np.vdot(y, y) < y_max:
         return y
-    if not np.isfinite(y).all():
-        bad = int(np.flatnonzero(~np.isfinite(y))[0])
+    is_finite = np.isfinite(y)
+    if not is_finite.all():
+        bad = int(is_finite.argmin())
         raise SolverError(
             f"solver: measurement {bad} is {y[bad]}; allowed: finite numbers"
         )
-    if max(float(y.max()), -float(y.min())) > y_max:
+    if float(np.abs(y).max()) > y_max:
         raise SolverError(
             f"solver: a measurement is beyond +-{y_max:g}: too large for float32"
         )

@@ -26,25 +26,34 @@ class CompiledFista:
         self._basis = basis
         sizes = layout.sizes
         n = sum(sizes)
-        of_rows = np.repeat(sizes, sizes)[layout.rows].astype(np.float32)
+        #: Size of the block of each row, and of each column, of W.
+        block_sizes = np.repeat(sizes, sizes)
+        of_rows = block_sizes[layout.rows].astype(np.float32)
         self._scale = np.reciprocal(np.sqrt(of_rows))
+
         self._theta = np.zeros(mask.size, np.float32)
         self._before = np.zeros(mask.size, np.float32)
         self._z = np.zeros(mask.size, np.float32)
         self._half = np.zeros(mask.size, np.float32)
+
         #: A level of sums and differences without the factor 1 / sqrt(2) along each axis.
         weights = np.ones(mask.shape, dtype=np.float32)
         for rows, cols in level_sizes(*mask.shape):
             weights[:rows, :cols] *= 0.5
         self._weights: Floats = weights.reshape(-1)
+
         columns, groups = side_by_side(sizes)
-        self._kept = np.argsort(columns)[layout.rows]
+        place_of_column = np.argsort(columns)
+        self._kept = place_of_column[layout.rows]
         # The transform is not scaled: there and back multiplies by the size of the block.
-        keep = np.reciprocal(np.repeat(sizes, sizes)[columns].astype(np.float32))
+        of_columns = block_sizes[columns].astype(np.float32)
+        keep = np.reciprocal(of_columns)
+        # Measured coefficients are replaced by y.
         keep[self._kept] = 0
         self._measured = np.zeros(n, dtype=np.float32)
         self._grid = np.array(mask.shape, dtype=np.int64)
-        places = np.flatnonzero(mask)[layout.permutation[columns]]
+        cells = np.flatnonzero(mask)
+        places = cells[layout.permutation[columns]]
         self._tables = (
             self._weights * self._weights,
             np.float32(lambda_n) * self._weights,

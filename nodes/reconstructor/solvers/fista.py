@@ -55,7 +55,8 @@ class Fista:
 
     def reset(self) -> None:
         """Forget the last frame."""
-        self._theta = self._before = np.zeros(self._shape, dtype=np.float32)
+        self._theta = np.zeros(self._shape, dtype=np.float32)
+        self._before = self._theta
 
     def begin(self, y: Floats, warm: Floats | None) -> None:
         """Begin a frame of measurements, float32 (m,).
@@ -71,8 +72,10 @@ class Fista:
         """Do an iteration for each of the momenta betas, float32 (k,)."""
         for beta in betas:
             z = self._theta + beta * (self._theta - self._before)
-            u = z + self._step * self._adjoint(self._y - self._forward(z))
+            residual = self._y - self._forward(z)
+            u = z + self._step * self._adjoint(residual)
             self._before = self._theta
+            # The soft threshold: what is clipped away.
             self._theta = u - np.clip(u, -self._limit, self._limit)
 
     def image(self) -> Floats:
@@ -81,7 +84,8 @@ class Fista:
 
     def _forward(self, theta: Floats) -> Floats:
         """A theta."""
-        return self._phi.forward(self._basis.synthesis(theta).reshape(-1)[self._taxels])
+        image = self._basis.synthesis(theta)
+        return self._phi.forward(image.reshape(-1)[self._taxels])
 
     def _adjoint(self, residual: Floats) -> Floats:
         """A^T residual."""

@@ -6,7 +6,8 @@ from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import replace
 
 from sparseskin.messages import End, Message, encode
-from sparseskin.messages.frames import Floats, Frames
+from sparseskin.messages.arrays import Floats
+from sparseskin.messages.frames import Frames
 from sparseskin.messages.topics import split_topic, topic_of
 from sparseskin.messages.wire import SCHEMAS
 

@@ -11,8 +11,9 @@ from typing import Any, TextIO
 import numpy as np
 
 from sparseskin.messages import Contacts, Measurements, Message
+from sparseskin.messages.arrays import Floats
 from sparseskin.messages.fields import Array
-from sparseskin.messages.frames import Floats, kinds_alone, values_alone
+from sparseskin.messages.frames import kinds_alone, values_alone
 from sparseskin.messages.topics import split_topic
 from sparseskin.nodes.files import whole_folder
 from sparseskin.nodes.recorder.bag.frames import (

@@ -7,7 +7,8 @@ from contextlib import contextmanager
 from dataclasses import replace
 
 from sparseskin.messages import Calibration, Taxels
-from sparseskin.messages.frames import Floats, known_forces
+from sparseskin.messages.arrays import Floats
+from sparseskin.messages.frames import known_forces
 from sparseskin.messages.state import described
 from sparseskin.messages.topics import topic_of
 from sparseskin.nodes.errors import SourceError

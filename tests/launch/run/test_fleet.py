@@ -7,6 +7,7 @@ import pytest
 from played import NAMES, Stage
 
 from sparseskin.launch.run import launcher as launchers
+from sparseskin.launch.run.controls import LiveRecording
 from sparseskin.launch.run.fleet import EXIT_FAILED, EXIT_USAGE, GRACE_S, START_S, Fleet
 from sparseskin.launch.run.launcher import Launcher
 from sparseskin.launch.run.running import RunningGraph
@@ -95,6 +96,21 @@ def test_each_node_is_started_with_what_it_reads_and_who_reads_it(stage):
     assert config["companions"] == []
     assert config["distant_readers"] == []
     assert played.fleet.condition(played.node("sensor")) == "starting"
+
+
+def test_the_start_waits_for_readers_on_other_hosts_but_for_no_observer(stage):
+    played = stage()
+    nodes = played.launch.nodes
+
+    class Observer(nodes["monitor"].cls):
+        observes = True
+
+    elsewhere = {
+        "reconstructor": nodes["reconstructor"],
+        "monitor": replace(nodes["monitor"], cls=Observer),
+    }
+    fleet = Fleet(replace(played.launch, elsewhere=elsewhere), 0, played.lines.append)
+    assert fleet._links_of("compressor")["distant_readers"] == ["reconstructor"]
 
 
 def test_a_process_has_all_nodes_that_state_it(stage):
@@ -373,14 +389,27 @@ def test_the_state_of_a_graph_leaves_out_recorders_that_have_ended(stage):
     assert compressor["lost"] == 4
     assert compressor["condition"] == "running"
     assert compressor["patch"] == "skin"
-    played.node("monitor").name = "live_recorder_1"
-    played.fleet.restarts["live_recorder_1"] = played.fleet.restarts["monitor"]
+    played.node("sensor").name = "live_recorder_1"
+    played.fleet.restarts["live_recorder_1"] = played.fleet.restarts["sensor"]
     assert len(graph_state(played.launch, played.fleet, None)["nodes"]) == 4
-    played.node("monitor").ended = True
+    played.node("sensor").ended = True
     names = [
         node["name"] for node in graph_state(played.launch, played.fleet, None)["nodes"]
     ]
-    assert names == NAMES[:3]
+    assert names == NAMES[1:]
+
+
+def test_a_failure_of_another_node_ends_no_recording(stage):
+    played = stage()
+    played.run()
+    recording = LiveRecording(played.launch, played.fleet)
+    answers = []
+    recording.command("record", True, lambda *answer: answers.append(answer))
+    recording.hear(played.node("sensor"), "failed")
+    assert recording.out is not None
+    assert answers == []
+    recording.hear(played.node("live_recorder_1"), "ready")
+    assert [done for done, _ in answers] == [True]
 
 
 def test_a_description_has_the_settings_of_the_node_that_is_asked_for(stage):
@@ -421,13 +450,15 @@ class Screen:
 
     def __init__(self):
         self.lines = []
+        self.recorded = []
         self.keys = []
         self.shown = ""
 
     def log(self, line):
         self.lines.append(line)
 
-    record = log
+    def record(self, line):
+        self.recorded.append(line)
 
     def status(self, text):
         self.shown = text
@@ -460,6 +491,13 @@ def test_a_key_of_the_terminal_is_a_command_and_others_end_the_graph(launcher):
     launcher.screen.keys = ["\x03"]
     launcher.launcher._serve()
     assert launcher.launcher._interrupts == 2
+
+
+def test_the_trace_of_an_error_is_recorded_and_not_shown(launcher):
+    launcher.says("sensor", "raised", trace="Traceback\nValueError: no")
+    launcher.fleet.serve()
+    assert launcher.screen.recorded == ["[sensor] Traceback", "[sensor] ValueError: no"]
+    assert launcher.screen.lines == []
 
 
 def test_the_status_is_that_of_the_ends_of_the_graph(launcher):
@@ -524,6 +562,17 @@ def test_nodes_behind_one_that_is_dead_need_not_drain(launcher):
     launcher.node("sensor").ended = True
     launcher.node("compressor").process.code = -9
     assert launcher.launcher._all_drained()
+
+
+def test_a_summary_after_a_restart_has_what_each_node_reports(launcher):
+    launcher.says(
+        "monitor", "ended", counts={"refused": {}}, report={"n": 7}, clocks={}
+    )
+    launcher.fleet.serve()
+    launcher.fleet.restarts["sensor"].total = 2
+    summary = launcher.launcher.summary()
+    assert summary["nodes"]["monitor"]["n"] == 7
+    assert summary["nodes"]["sensor"]["restarts"] == 2
 
 
 def test_a_summary_has_what_each_node_reports_and_counts(launcher):

@@ -153,6 +153,27 @@ def test_who_is_not_let_in_gets_nothing_and_is_named(
         assert "turned away 127.0.0.1" in line
 
 
+def test_a_refusal_has_one_reason_in_the_log(station):
+    # Before the second refusal the end of the first connection is read, which is no other one.
+    for keys, words in (
+        (UNLISTED, "its key is that of mallory"),
+        (key_pair(), "is not known here"),
+    ):
+        of_process = make_context()
+        try:
+            _, node, lines = listen(of_process, station, keys, SERVER.public)
+
+            # The reader leaves once it knows: a handshake that is broken off has another reason.
+            def is_refused(node=node, lines=lines, words=words):
+                node.serve()
+                return bool(lines) and station.said(words)
+
+            station.until(is_refused, words)
+        finally:
+            of_process.destroy(linger=0)
+    assert all("not on the list" in line for line in station.lines)
+
+
 def test_who_sends_garbage_is_named_and_harms_nobody(station, context):
     with half_open(station) as stranger:
         stranger.sendall(b"GET / HTTP/1.1\r\nHost: skin\r\n\r\n" * 50)

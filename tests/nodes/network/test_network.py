@@ -10,6 +10,7 @@ from processes import wait_for_reader
 
 from sparseskin.messages import PhiState, Taxels, TruncatedError, decode
 from sparseskin.nodes.clock import SAME_CLOCK
+from sparseskin.nodes.network import sockets
 from sparseskin.nodes.network.network import (
     ASK_NS,
     END_RECEIVED_NS,
@@ -97,6 +98,41 @@ def test_other_hosts_are_asked_for_the_time(context, monkeypatch, n_times, perio
         monkeypatch.setattr(node, "_now_ns", lambda now_ns=now_ns: now_ns)
         node.serve()
     assert asked == [0, period_ns, 2 * period_ns]
+
+
+def test_without_other_hosts_all_topics_have_the_clock_of_this_one(context):
+    node, _ = network(context)
+    assert node.clock_of(HERE) == SAME_CLOCK
+
+
+def test_a_path_on_which_a_writer_listens_is_not_taken_from_it(context, tmp_path):
+    endpoint = f"ipc://{tmp_path}/sensor"
+    writer = Writer(context, endpoint, "sensor")
+    with pytest.raises(zmq.ZMQError) as raised:
+        Writer(context, endpoint, "other")
+    assert raised.value.errno == zmq.EADDRINUSE
+    reader = Reader(context, "reader", [endpoint], [LEFT])
+    wait_for_reader(writer, "reader")
+    assert reader.receive() is None
+
+
+def test_a_question_whose_time_is_no_number_is_not_answered(context):
+    writer = Writer(context, "inproc://writer", "sensor", now_ns=time.monotonic_ns)
+    reader = Reader(context, "reader", [writer.endpoint], [LEFT])
+    wait_for_reader(writer, "reader")
+    stranger = context.socket(zmq.XSUB)
+    stranger.connect(writer.endpoint)
+    # The last one is answered: those before it were read, too.
+    for t1 in (b"x", b"-1", b"", b"9" * 50, b"7"):
+        stranger.send(b"\x01@reader!" + t1)
+
+    def has_note():
+        writer.serve_subscriptions()
+        return bool(reader.socket.poll(0))
+
+    wait_until(has_note, "an answer")
+    _, note = reader.receive()
+    assert bytes(note).startswith(b"sensor!7:")
 
 
 def test_a_writer_reports_the_time_to_those_alone_who_are_there(context):
@@ -313,6 +349,21 @@ def test_a_topic_that_begins_like_another_is_not_taken_for_it(pair):
     with pytest.raises(TruncatedError):
         decode(*wrong[0])
     assert decode(*last).seq == 3
+
+
+def test_a_topic_beyond_the_counted_subscriptions_is_sent(context, monkeypatch):
+    monkeypatch.setattr(sockets, "MAX_SUBSCRIPTIONS", 2)
+    writer = Writer(context, "inproc://writer", "sensor")
+    reader = Reader(context, "reader", [writer.endpoint], [LEFT, RIGHT, HERE])
+    wait_for_reader(writer, "reader")
+    for patch in ("left", "right", "here"):
+        forces = np.ones((2, 2), np.float32)
+        writer.send(Taxels(stamp_ns=0, patch=patch, forces=forces))
+    topics = []
+    for _ in range(3):
+        wait_until(lambda: bool(reader.socket.poll(0)), "a message")
+        topics.append(decode(*reader.receive()).topic)
+    assert topics == [LEFT, RIGHT, HERE]
 
 
 def test_an_answer_to_another_writer_is_none_to_this_one(context):

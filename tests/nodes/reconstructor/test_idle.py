@@ -14,7 +14,7 @@ from sparseskin.nodes.compressor.node import Compressor
 from sparseskin.nodes.compressor.phi.base import make_phi
 from sparseskin.nodes.node import Context
 from sparseskin.nodes.reconstructor.faults.repeats import FRAMES
-from sparseskin.nodes.reconstructor.idle import FALSE_ALARMS, REFRESH, IdleWatch
+from sparseskin.nodes.reconstructor.idle import FALSE_ALARMS, REFRESH
 from sparseskin.nodes.reconstructor.node import Reconstructor
 from sparseskin.nodes.sensor.scenes.tiled import TiledScene
 
@@ -61,18 +61,13 @@ def test_a_contact_of_three_sigma_is_noticed_at_once_and_one_of_one_sigma_soon()
     assert faint == sorted(faint, reverse=True)
 
 
-def test_an_idle_patch_is_solved_every_64_frames_and_one_without_stated_noise_always():
+def test_an_idle_patch_is_solved_every_64_frames():
     truth = UNTOUCHED.copy()
     watched = Watched(8, truth)
     solved = np.array([watched.frame(truth) for _ in range(2 * REFRESH)])
     assert (solved[:REFRESH].sum(axis=0) >= 1).all()
     assert solved.sum(axis=1).max() <= 3
     assert watched.watch.idle.all()
-    state = skin_state(n_rows=8, n_cols=8, mask=None, sigma_mid=0.0, sigma_end=0.0)
-    phi = make_phi("sbhe", n=64, m=32, seed=0)
-    watch = IdleWatch(3, state, [phi])
-    for _ in range(50):
-        assert watch.to_solve(phi.fingerprint, np.zeros((3, 32), np.float32)).all()
 
 
 def test_idle_patches_are_published_as_unchanged_with_the_forces_of_their_last_solve():
@@ -111,10 +106,13 @@ def test_the_skip_adds_no_error_and_can_be_switched():
     assert "idle" not in node.state()
 
 
-def served(frames, **settings):
-    """Reconstructions of the readings of one patch, which states its noise."""
+NOISE = {"sigma_mid": 0.0628, "sigma_end": 0.0141}
+NO_NOISE = {"sigma_mid": 0.0, "sigma_end": 0.0}
+
+
+def served(frames, sigmas=NOISE, **settings):
+    """Reconstructions of the readings of one patch."""
     (_, n_rows, n_cols) = frames.shape
-    sigmas = {"sigma_mid": 0.0628, "sigma_end": 0.0141}
     skin = skin_state(n_rows=n_rows, n_cols=n_cols, mask=None, **sigmas)
     edge = Compressor(Compressor.Settings(), Context("edge", ManualClock(1)))
     host = Reconstructor(
@@ -127,17 +125,21 @@ def served(frames, **settings):
     return [one for one in found if isinstance(one, Reconstruction)]
 
 
+def untouched_readings():
+    noise = np.random.default_rng(0).normal(0, 0.0141, (40, 8, 8))
+    return noise.clip(0).astype(np.float32)
+
+
 def test_a_patch_that_is_served_alone_is_skipped_too():
-    rest = (
-        np.random.default_rng(0)
-        .normal(0, 0.0141, (40, 8, 8))
-        .clip(0)
-        .astype(np.float32)
-    )
-    sent = [len(one.forces) for one in served(rest, skip_idle=True)]
+    sent = [len(one.forces) for one in served(untouched_readings(), skip_idle=True)]
     assert len(sent) == 40
     assert sum(sent[:12]) == 12
     assert sum(sent) < 20
+
+
+def test_a_skin_that_states_no_noise_is_solved_in_each_frame():
+    frames = served(untouched_readings(), NO_NOISE, skip_idle=True)
+    assert [len(frame.forces) for frame in frames] == [1] * 40
 
 
 @pytest.mark.parametrize(("peak_n", "reasons"), [(0.02, {"weak"}), (1.0, set())])

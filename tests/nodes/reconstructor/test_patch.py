@@ -191,6 +191,35 @@ def test_a_frame_that_is_kept_has_the_last_forces_and_is_looked_at():
     assert bench.patch.solved.reason == Reason.CONSTANT
 
 
+def test_a_frame_that_is_kept_has_the_fault_of_the_last_forces():
+    bench = Bench(skin={"f_max": F_MAX / 10})
+    for readings in FRAMES:
+        bench.frame(readings)
+    phi = bench.phi()
+    bench.patch.keep(phi, phi.forward(FRAMES[3].reshape(-1)))
+    assert bench.patch.solved.reason == Reason.RANGE
+
+
+@pytest.mark.parametrize(
+    ("missing", "sensed"), [(cells((3, 4)), ""), (None, Reason.CLIPPED)]
+)
+def test_no_touch_is_known_of_readings_that_are_missing_or_not_trusted(missing, sensed):
+    bench = Bench(contacts=True)
+    bench.frame(FRAMES[0])
+    assert bench.patch._touch.touch.touched is False
+    bench.frame(FRAMES[1], missing, sensed)
+    assert bench.patch._touch.touch.touched is None
+
+
+def test_the_usual_steps_of_a_budget_are_those_of_a_quarter_of_the_skin():
+    solver = Bench().patch.solver
+    # A frame has time for eight steps of all tiles.
+    solver.use_times(8 * solver.most_tiles, 0)
+    usual, _ = patches._usual_steps(solver, solver.n_steps)
+    assert usual == solver.steps_for(solver.most_tiles // 4)[1]
+    assert usual > solver.steps_for(solver.most_tiles)[1]
+
+
 def test_a_frame_that_was_not_sent_has_the_last_forces_and_the_reasons_of_now():
     bench = Bench()
     for readings in FRAMES:
