@@ -175,10 +175,10 @@ class ContactFinder:
 
         # Without `sd` the variances were 1: they become that of the error. That of a mean over the
         # skin is larger in the taxels that are not 0, as the others have none.
-        scale = 1.0
+        scale = SD_SCALE**2
         if sd is None:
             share = self._n_taxels / n_above if is_mean else 1.0
-            scale = SD_SCALE**2 * share * error**2
+            scale *= share * error**2
         # Variances become standard deviations, of which an error that all forces share adds to
         # that of the total; then normals become unit vectors.
         variance_row = 3 + len(self._places)

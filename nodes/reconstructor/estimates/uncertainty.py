@@ -99,7 +99,8 @@ class Spread:
         self._n = np.count_nonzero(mask)
         # A cell without a taxel is 0, and takes no part in a mean.
         sums = np.maximum(_sums_of_3(self._inside), np.float32(1))
-        self._weights: Floats = self._inside / sums
+        weights: Any = self._inside / sums
+        self._weights: Floats = weights
 
     def deviations(self, forces: Floats, error: float) -> Floats:
         """Standard deviations of forces of an RMS error, both float32 (n_rows, n_cols)."""

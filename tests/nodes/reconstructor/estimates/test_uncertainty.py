@@ -166,7 +166,7 @@ def test_a_frame_has_the_deviations_of_the_definition_on_all_edges_of_the_skin()
 
 def test_bands_of_the_true_error_hold_nine_tenths_in_drawn_worlds():
     parts = []
-    for seed in range(8):
+    for seed in range(6):
         world = draw_world(seed, False, sides=(8, 10, 12))
         spread = Spread(world.exists)
         within = []
@@ -181,7 +181,7 @@ def test_bands_of_the_true_error_hold_nine_tenths_in_drawn_worlds():
         parts.append(np.mean(within))
     # The scale is for estimated errors, which are less certain: 1.1 in place of 1.
     assert 0.87 < np.median(parts) < 0.96
-    assert min(parts) > 0.6
+    assert min(parts) > 0.75
 
 
 def reconstructed(**settings):
