@@ -337,6 +337,7 @@ def find_contacts(
         True where a taxel exists; by default everywhere.
     sd : ndarray of float32, shape (n_rows, n_cols), optional
         Standard deviation of each force, in place of the error in `total_sd` and `centre_sd`.
+        Errors of neighbours count as dependent with either.
     is_mean : bool
         True if the error is that over all taxels of the skin, as a solver estimates it.
     low, high : float

@@ -179,7 +179,7 @@ def test_bands_of_the_true_error_hold_nine_tenths_in_drawn_worlds():
             sd = spread.deviations(answer.forces, error)
             within.append(np.mean((np.abs(off) <= 1.645 * sd)[touched]))
         parts.append(np.mean(within))
-    # The scale is for estimated errors, which are less certain: 1.1 in place of 1.
+    # The scale is for estimated errors, which are less certain: 1.1 in place of 0.95.
     assert 0.87 < np.median(parts) < 0.96
     assert min(parts) > 0.75
 
