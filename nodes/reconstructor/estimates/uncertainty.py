@@ -110,12 +110,16 @@ class Spread:
         if total == 0:
             return np.float32(SCALE * e) * self._inside
 
+        # All of the squared error, on the effective number of touched taxels.
         squares = float(np.square(x, dtype=np.float64).sum())
         mean_force = max(squares / total, LEAST_ERROR)
         of_touched = e * math.sqrt(self._n * squares) / total
 
-        around = _sums_of_3(x) * self._weights + np.float32(LEAST_AROUND * e)
-        part: Any = np.minimum(around / np.float32(mean_force), 1)
+        # Beyond the edge of a contact the error falls with the forces around.
+        around = _sums_of_3(x) * self._weights
+        around += np.float32(LEAST_AROUND * e)
+        around /= np.float32(mean_force)
+        part: Any = np.minimum(around, 1)
         part **= np.float32(EDGE_POWER)
         sd: Floats = np.float32(SCALE * of_touched) * part * self._inside
         return sd
