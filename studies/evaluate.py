@@ -19,7 +19,7 @@ from sparseskin.nodes.errors import PhiError, SparseskinError
 from sparseskin.nodes.monitor.metrics import psnr_db
 from sparseskin.nodes.numerics.arrays import Doubles, Floats, Mask
 from sparseskin.nodes.reconstructor.bases.base import make_basis
-from sparseskin.nodes.reconstructor.estimates.uncertainty import deviations
+from sparseskin.nodes.reconstructor.estimates.uncertainty import Spread
 from sparseskin.nodes.reconstructor.solvers.base import (
     Solver,
     estimated_error,
@@ -305,7 +305,9 @@ class Scores:
         exists = (
             np.ones(truth.shape, dtype=np.bool_) if self.mask is None else self.mask
         )
-        is_held = np.abs(forces - truth) <= BAND * deviations(forces, error, exists)
+        is_held = np.abs(forces - truth) <= BAND * Spread(exists).deviations(
+            forces, error
+        )
         return [float(np.mean(is_held, where=is_touched))]
 
     def _taxels(self, image: Floats) -> Doubles:

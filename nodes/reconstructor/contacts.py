@@ -177,9 +177,8 @@ class ContactFinder:
 
         # Without `sd` the variances were 1: they become that of the error. That of a mean over the
         # skin is larger in the taxels that are not 0, as the others have none.
-        scale = 1.0
+        scale = SD_SCALE**2
         if sd is None:
-            scale = SD_SCALE**2
             if is_mean:
                 scale *= self._n_taxels / n_above
             scale *= error**2
@@ -355,6 +354,7 @@ def find_contacts(
         True where a taxel exists; by default everywhere.
     sd : ndarray of float32, shape (n_rows, n_cols), optional
         Standard deviation of each force, in place of the error in `total_sd` and `centre_sd`.
+        Errors of neighbours count as dependent with either.
     is_mean : bool
         True if the error is that over all taxels of the skin, as a solver estimates it.
     low, high : float

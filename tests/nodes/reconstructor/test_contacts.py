@@ -22,6 +22,7 @@ from sparseskin.nodes.reconstructor.contacts import (
     components,
     find_contacts,
 )
+from sparseskin.nodes.reconstructor.estimates.uncertainty import SCALE, Spread
 from sparseskin.nodes.reconstructor.settings import ReconstructorSettings
 
 SHAPE = (32, 40)
@@ -78,7 +79,17 @@ def test_total_centre_area_and_deviations_of_boxes_are_those_of_their_closed_for
     mean = find_contacts(boxes((2, 3)), NOISE_N, is_mean=True)
     assert mean.total_sd == pytest.approx(error * np.sqrt(32 * 40))
     stated = find_contacts(boxes((2, 3)), NOISE_N, sd=np.full(SHAPE, 0.1, np.float32))
-    assert stated.total_sd == pytest.approx(0.1 * np.sqrt(24))
+    assert stated.total_sd == pytest.approx(SD_SCALE * 0.1 * np.sqrt(24))
+
+
+def test_deviations_of_forces_make_those_of_a_total_as_the_error_of_the_frame_does():
+    forces = np.full(SHAPE, 0.5, np.float32)
+    sd = Spread(np.ones(SHAPE, np.bool_)).deviations(forces, NOISE_N)
+    by_error = find_contacts(forces, NOISE_N, is_mean=True)
+    by_forces = find_contacts(forces, NOISE_N, sd=sd)
+    for field in ("total_sd", "centre_sd"):
+        expected = SCALE * getattr(by_error, field)
+        np.testing.assert_allclose(getattr(by_forces, field), expected, rtol=1e-4)
 
 
 def test_an_error_that_all_forces_share_adds_to_the_deviation_of_totals_alone():
