@@ -66,6 +66,7 @@ class AdaptiveSkinSolver(Solver):
 
     name = "skin"
     uses_basis = False
+    subtracts_bias = SkinSolver.subtracts_bias
     uses_blas = True
     least_iterations = SkinSolver.least_iterations
     paces = SkinSolver.paces
