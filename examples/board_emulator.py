@@ -48,7 +48,13 @@ def main():
     )
     parser.add_argument("--still", action="store_true", help="the ball does not move")
     about = "seconds before the ball is put on"
-    parser.add_argument("--untouched", type=float, metavar="S", default=0.0, help=about)
+    parser.add_argument(
+        "--untouched",
+        type=float,
+        metavar="S",
+        default=0.0,
+        help=about,
+    )
     options = parser.parse_args()
     board, host = pty.openpty()
     tty.setraw(host)

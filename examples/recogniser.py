@@ -36,12 +36,21 @@ model = "{model}"
 def recording(body: str, seeds: range, path: Path) -> Path:
     """A body that is pressed again and again on 20 x 20 taxels, in place of a skin of yours."""
     taps = Timing(untouched=0, contact=4, pause=1)
-    how = {"course": "sudden", "active": 0.2, "noise": NoiseModel(), "timing": taps}
+    how = {
+        "course": "sudden",
+        "active": 0.2,
+        "noise": NoiseModel(),
+        "timing": taps,
+    }
     frames = [
         r for seed in seeds for _, r in press_frames(body, (20, 20), 50, seed, **how)
     ]
     np.savez(
-        path, forces=np.stack(frames), f_max=2.5, rate_hz=100.0, unit=np.array("N")
+        path,
+        forces=np.stack(frames),
+        f_max=2.5,
+        rate_hz=100.0,
+        unit=np.array("N"),
     )
     return path
 

@@ -262,7 +262,12 @@ def _mark_noise(axes: Any, noise_db: float, n_names: int) -> None:
     """Shade the changes that are larger than the noise, and say what either side means."""
     shade = {"color": "#dddddd", "zorder": 0, "label": "above the noise"}
     axes.axvspan(CHANGES_DB[0], noise_db, **shade)
-    style = {"ha": "center", "va": "top", "color": "0.3", "fontsize": 8}
+    style = {
+        "ha": "center",
+        "va": "top",
+        "color": "0.3",
+        "fontsize": 8,
+    }
     texts = "above the noise:\nneeded", "below the noise:\ncan be left out"
     for edge, text in zip(CHANGES_DB, texts, strict=True):
         axes.text((edge + noise_db) / 2, n_names + 0.75, text, **style)

@@ -77,9 +77,19 @@ def compute(
         name = f"{function.__module__}:{function.__qualname__}"
         names = {"label": label, "function": name}
         bare = not missing or not sys.stderr.isatty()
-        with tqdm(total=len(missing), desc=label, unit="point", disable=bare) as bar:
+        with tqdm(
+            total=len(missing),
+            desc=label,
+            unit="point",
+            disable=bare,
+        ) as bar:
             for key, figures in _computed(function, missing, executor_name):
-                origin = {"key": key, **names, "version": STUDY_VERSION, "code": code}
+                origin = {
+                    "key": key,
+                    **names,
+                    "version": STUDY_VERSION,
+                    "code": code,
+                }
                 line = json.dumps({**origin, "point": missing[key], "figures": figures})
                 file.write(line.encode() + b"\n")
                 file.flush()

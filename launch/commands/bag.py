@@ -68,7 +68,13 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 def _configure_export(export: argparse.ArgumentParser) -> None:
     about = f"NAME{FILE_SUFFIX}; several for lerobot, zarr: an episode each"
-    export.add_argument("bags", metavar="F.mcap", type=Path, nargs="+", help=about)
+    export.add_argument(
+        "bags",
+        metavar="F.mcap",
+        type=Path,
+        nargs="+",
+        help=about,
+    )
     export.add_argument(
         "--to", choices=export_names(), required=True, help="the format"
     )
@@ -111,7 +117,11 @@ def _configure_import(parser: argparse.ArgumentParser) -> None:
     # Plug-ins add formats, so that the list is made here.
     parser.description = f"{parser.description} Formats: {formats}."
     parser.add_argument(
-        "files", metavar="FILE", nargs="+", type=_path, help="the recording"
+        "files",
+        metavar="FILE",
+        nargs="+",
+        type=_path,
+        help="the recording",
     )
     about = f"the recording, NAME{FILE_SUFFIX}; or a folder, for one a FILE"
     parser.add_argument("--out", metavar="PATH", required=True, help=about)

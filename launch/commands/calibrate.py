@@ -76,7 +76,13 @@ def _add_presses(
 ) -> None:
     """Options of the file that is written, of untouched frames, and of presses."""
     about = "file to write, NAME.toml; large arrays lie beside it in NAME.npz"
-    parser.add_argument("--out", metavar="F.toml", type=Path, required=True, help=about)
+    parser.add_argument(
+        "--out",
+        metavar="F.toml",
+        type=Path,
+        required=True,
+        help=about,
+    )
     about = "untouched frames: the first seconds (3s), a part of a recording (5-8s), or a file"
     parser.add_argument("--untouched", metavar="WHERE", default=UNTOUCHED, help=about)
     about = (

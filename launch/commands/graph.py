@@ -222,7 +222,11 @@ def configure_param(parser: argparse.ArgumentParser) -> None:
         "value", metavar="VALUE", help="as in a launch file; none: not stated"
     )
     change.add_argument(
-        "more", metavar="KEY VALUE", nargs="*", default=[], help="further settings"
+        "more",
+        metavar="KEY VALUE",
+        nargs="*",
+        default=[],
+        help="further settings",
     )
     for command in (listing, get, change):
         add_graph(command, "one JSON document")

@@ -175,7 +175,11 @@ def add_set(
     """Add --set; `stated_values` reads KEY=VALUE, `load` of a launch file NODE.KEY=VALUE."""
     about = f"{about} (may be repeated)"
     parser.add_argument(
-        "--set", metavar=metavar, action="append", default=[], help=about
+        "--set",
+        metavar=metavar,
+        action="append",
+        default=[],
+        help=about,
     )
 
 

@@ -193,7 +193,11 @@ def compiled(folder: Path) -> tuple[str, str]:
 def ages_of(way: str, words: list[str], folder: Path) -> list[float]:
     """Ages that a program prints, ms, without its first `N_WARM_UP`."""
     program = subprocess.run(
-        words, cwd=folder, capture_output=True, text=True, check=False
+        words,
+        cwd=folder,
+        capture_output=True,
+        text=True,
+        check=False,
     )
     ages_ms = [float(line) for line in program.stdout.split()]
     if program.returncode or len(ages_ms) <= N_WARM_UP:

@@ -31,7 +31,11 @@ def configure(parser: argparse.ArgumentParser) -> None:
     )
     rare_options = rare(parser)
     parser.add_argument(
-        "file", metavar="design.toml", nargs="?", type=Path, help="file of keys"
+        "file",
+        metavar="design.toml",
+        nargs="?",
+        type=Path,
+        help="file of keys",
     )
     for name, key in KEYS.items():
         about = key.about

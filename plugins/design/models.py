@@ -21,13 +21,33 @@ from sparseskin.nodes.errors import SettingsError
 from sparseskin.nodes.lookup import nearest_of
 from sparseskin.nodes.sensor.layout.checks import shown
 
-LENGTH = {"mm": 1e-3, "cm": 1e-2, "m": 1.0, "um": 1e-6}
+LENGTH = {
+    "mm": 1e-3,
+    "cm": 1e-2,
+    "m": 1.0,
+    "um": 1e-6,
+}
 FORCE = {"N": 1.0, "mN": 1e-3, "kN": 1e3}
 RATE = {"Hz": 1.0, "kHz": 1e3, "": 1.0}
-CLOCK = {"Hz": 1.0, "kHz": 1e3, "MHz": 1e6, "GHz": 1e9}
-TIME = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
+CLOCK = {
+    "Hz": 1.0,
+    "kHz": 1e3,
+    "MHz": 1e6,
+    "GHz": 1e9,
+}
+TIME = {
+    "s": 1.0,
+    "ms": 1e-3,
+    "us": 1e-6,
+    "ns": 1e-9,
+}
 SAMPLES = {"S/s": 1.0, "kS/s": 1e3, "MS/s": 1e6}
-BITS_A_SECOND = {"": 1.0, "k": 1e3, "M": 1e6, "G": 1e9}
+BITS_A_SECOND = {
+    "": 1.0,
+    "k": 1e3,
+    "M": 1e6,
+    "G": 1e9,
+}
 """Units of each kind of quantity, and their size in SI units."""
 
 _QUANTITY = re.compile(r"(\d+(?:\.\d+)?(?:e[+-]?\d+)?)\s*([a-zA-Z/]*)", re.ASCII)

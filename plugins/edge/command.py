@@ -42,10 +42,20 @@ def configure(parser: argparse.ArgumentParser) -> None:
     about = "rows of the matrix: the same in each frame or not (default: as the compressor chooses)"
     rare_options.add_argument("--rows-mode", choices=ROWS, help=about)
     about = "bits of a reading, 1..16: counts are 0 .. 2^bits - 1 (default: 12)"
-    make.add_argument("--adc-bits", metavar="BITS", type=int, default=12, help=about)
+    make.add_argument(
+        "--adc-bits",
+        metavar="BITS",
+        type=int,
+        default=12,
+        help=about,
+    )
     about = f"size of the Hadamard blocks (default: {BLOCK})"
     rare_options.add_argument(
-        "--block", metavar="B", type=int, default=BLOCK, help=about
+        "--block",
+        metavar="B",
+        type=int,
+        default=BLOCK,
+        help=about,
     )
     rare_options.add_argument(
         "--seed", type=int, default=0, help="seed of the matrix (default: 0)"
@@ -54,7 +64,13 @@ def configure(parser: argparse.ArgumentParser) -> None:
         "--skin", metavar="skin.toml", type=Path, help="rows, columns, mask of a skin"
     )
     about = "folder to write to, a new one"
-    make.add_argument("--out", metavar="DIR", type=Path, required=True, help=about)
+    make.add_argument(
+        "--out",
+        metavar="DIR",
+        type=Path,
+        required=True,
+        help=about,
+    )
 
 
 def _export(arguments: argparse.Namespace) -> int:

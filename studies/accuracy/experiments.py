@@ -91,7 +91,12 @@ SINGLE = {
     },
     **{
         f"Haar {label}, {weight:g}": Candidate(
-            {"solver": "fista", "basis": "haar", "iterations": n, "lambda_n": weight},
+            {
+                "solver": "fista",
+                "basis": "haar",
+                "iterations": n,
+                "lambda_n": weight,
+            },
             alone=True,
         )
         for label, n in ((FEW, 30), (MANY, 1000))

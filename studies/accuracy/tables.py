@@ -85,7 +85,13 @@ def run(
         "dead_zone_n": DEAD_ZONE_N,
     }
     ratios = " / ".join(f"N/{ratio}" for ratio in RATIOS)
-    page.section("", value_bytes=VALUE_BYTES, ratios=ratios, seeds=seeds, **of_filter)
+    page.section(
+        "",
+        value_bytes=VALUE_BYTES,
+        ratios=ratios,
+        seeds=seeds,
+        **of_filter,
+    )
     lines = recorded(page, runs, quick) if recordings else []
     lines += [scenes(page, runs), rates(page, runs), moving(page, runs)]
     sizes(page, runs)

@@ -31,7 +31,12 @@ def points(quick: bool, seed: int) -> list[dict[str, Any]]:
     """All rates, sizes, and with and without a monitor; quick: few of them, in short slices."""
     rates_hz = QUICK_RATES_HZ if quick else RATES_HZ
     sizes = (QUICK_SIZE,) if quick else tuple(latency.SCENES)
-    common = {"preset": "skin", "depth": 0, "iterations": STEPS, "seed": seed}
+    common = {
+        "preset": "skin",
+        "depth": 0,
+        "iterations": STEPS,
+        "seed": seed,
+    }
     common |= {"slices": SLICES, "seconds": SECONDS}
     return [
         {

@@ -52,7 +52,12 @@ def points(quick: bool, seed: int) -> list[dict[str, Any]]:
     """All kinds on skins of some sides."""
     sides = QUICK_SIDES if quick else SIDES
     return [
-        {"kind": kind, "ratio": ratio, "side": side, "seed": seed}
+        {
+            "kind": kind,
+            "ratio": ratio,
+            "side": side,
+            "seed": seed,
+        }
         for side in sides
         for kind, ratio in KINDS
         if kind != "gaussian" or side**2 <= N_MAX

@@ -46,7 +46,12 @@ class Used(NamedTuple):
 
 def points(quick: bool, seed: int) -> list[dict[str, Any]]:
     """One recording of a scene, in as many iterations as `ITERATIONS` has."""
-    common = {"scene": SCENE, "first": FIRST, "slices": SLICES, "seed": seed}
+    common = {
+        "scene": SCENE,
+        "first": FIRST,
+        "slices": SLICES,
+        "seed": seed,
+    }
     common["n_frames"] = QUICK_N_FRAMES if quick else N_FRAMES
     return [{**common, "iterations": iterations} for iterations in ITERATIONS]
 

@@ -63,7 +63,10 @@ def time_quiet(point: dict[str, Any]) -> dict[str, Any]:
         forces = noise.apply(truth, rng)
         stamp_ns = (k + 1) * PERIOD_NS
         message = Taxels(
-            stamp_ns=stamp_ns, patch="body", names=tuple(names), forces=forces
+            stamp_ns=stamp_ns,
+            patch="body",
+            names=tuple(names),
+            forces=forces,
         )
         sent = way.frame(message)
         if k >= WARM_UP:

@@ -116,7 +116,14 @@ def bodies(page: Page, quick: bool, seed: int) -> str:
     points = []
     for idle, n in product(LOADS, numbers):
         n_frames = 12 if quick or n >= 64 else 60
-        points.append({**common, "patches": n, "idle": idle, "n_frames": n_frames})
+        points.append(
+            {
+                **common,
+                "patches": n,
+                "idle": idle,
+                "n_frames": n_frames,
+            }
+        )
     rows = _measured(time_body, points, page.out, "bodies", TIMED_ON)
     page.csv("bodies", rows)
     us = rows["edge_us"] + rows["host_us"]

@@ -44,7 +44,13 @@ from .time_chart import draw_times
 #: A process that has its core to itself has it for more of its time than this.
 QUIET_SHARE = 0.95
 MEASURES = {"mean_db": "mean PSNR in dB", "min_db": "worst PSNR in dB"}
-FOCUS = {ROTATED: 2, PRESET_SKIN: 1, FORMULA: 3, "tv": 4, PAPER_LABEL: 0}
+FOCUS = {
+    ROTATED: 2,
+    PRESET_SKIN: 1,
+    FORMULA: 3,
+    "tv": 4,
+    PAPER_LABEL: 0,
+}
 FOCUS |= dict.fromkeys(LARGER, 5)
 """Series in colour in the chart of bytes, and the place of each in the palette."""
 CAPTION = (
@@ -270,4 +276,9 @@ def _focused(label: str) -> dict[str, Any]:
             "label": "other solvers",
         }
     style = series_style(FOCUS[label])
-    return style | {"linewidth": 2.0, "markersize": 6, "zorder": 3, "label": label}
+    return style | {
+        "linewidth": 2.0,
+        "markersize": 6,
+        "zorder": 3,
+        "label": label,
+    }

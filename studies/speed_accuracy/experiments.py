@@ -227,7 +227,14 @@ def n_bytes(n: int, ratio: float, rows: str, phi: str) -> int:
             Taxels(stamp_ns=0, patch="skin", forces=np.zeros((1, n), np.float32))
         )
     y = np.zeros(n if phi == "full" else m_of(n, ratio, rows), np.float32)
-    return size_bytes(Measurements(stamp_ns=0, patch="skin", y=y, phi="0" * 16))
+    return size_bytes(
+        Measurements(
+            stamp_ns=0,
+            patch="skin",
+            y=y,
+            phi="0" * 16,
+        )
+    )
 
 
 def pooled(rows: pd.DataFrame, keys: Sequence[str]) -> pd.DataFrame:

@@ -36,7 +36,12 @@ SHOWN = {
     "touched_db": ("1 N / error where touched, dB", 0, 60),
 }
 """Label of each score, and where its curves are cut off."""
-GREY: dict[str, Any] = {"color": "#555555", "lw": 2.2, "alpha": 0.6, "zorder": 1}
+GREY: dict[str, Any] = {
+    "color": "#555555",
+    "lw": 2.2,
+    "alpha": 0.6,
+    "zorder": 1,
+}
 """Style of the readings."""
 
 

@@ -33,7 +33,12 @@ QUICK_TRAIN = 360
 QUICK_TEST = 120
 N_SEEDS = 3
 SHAPE_TASK = "shapes"
-PLACES_IN_PALETTE = {FORCES: 1, SUMS: 0, LARGER: 2, SINGLE: 3}
+PLACES_IN_PALETTE = {
+    FORCES: 1,
+    SUMS: 0,
+    LARGER: 2,
+    SINGLE: 3,
+}
 CAPTION = (
     "Share of the test that is recognised over the bytes of a frame: up and to the left is better. "
     "Along each line M is N/64, N/32, N/16, N/8, N/3 (quick: N/64, N/8)"
@@ -95,7 +100,13 @@ def points(
     compressed = [way for way in WAYS if way != ALL]
     pairs = [(ALL, 1), *((way, ratio) for ratio in ratios for way in compressed)]
     return [
-        {"way": way, "ratio": ratio, "seed": number, "quick": quick, **of_set}
+        {
+            "way": way,
+            "ratio": ratio,
+            "seed": number,
+            "quick": quick,
+            **of_set,
+        }
         for number in range(seed, seed + n_seeds)
         for way, ratio in pairs
     ]

@@ -64,7 +64,13 @@ def add(page: Page, quick: bool, seed: int, executor: str) -> list[str]:
     forces = QUICK_FORCES_N if quick else FORCES_N
     n_presses = QUICK_PRESSES if quick else N_PRESSES
     points = [
-        {"set": name, "force": force, "way": way, "n": n_presses, "seed": seed}
+        {
+            "set": name,
+            "force": force,
+            "way": way,
+            "n": n_presses,
+            "seed": seed,
+        }
         for name in SETS
         for force in forces
         for way in WAYS

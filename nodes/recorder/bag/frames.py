@@ -189,5 +189,10 @@ def progress(items: Iterable[Any], total: int, doing: str) -> Iterator[Any]:
     """Yield the items, with a progress bar on stderr if that is a terminal."""
     # disable=None: no bar unless stderr is a terminal.
     yield from tqdm(
-        items, total=total, desc=doing, unit="msg", disable=None, leave=False
+        items,
+        total=total,
+        desc=doing,
+        unit="msg",
+        disable=None,
+        leave=False,
     )

@@ -252,7 +252,12 @@ def contact_scene(message: Contacts, skin: SkinState) -> Any:
         middle[1] = side * (skin.n_rows - 1) / 2
 
     red, green, blue, opacity = COLOURS[message.trusted[0]]
-    colour = primitives.Color(r=red, g=green, b=blue, a=opacity)
+    colour = primitives.Color(
+        r=red,
+        g=green,
+        b=blue,
+        a=opacity,
+    )
 
     entities = []
     for shape in shapes(message, skin):
@@ -321,7 +326,12 @@ def _pose(x: float, y: float, z: float = 0.0, *turn: float) -> Any:
     from foxglove.messages import Pose, Quaternion, Vector3
 
     qx, qy, qz, qw = turn or (0.0, 0.0, 0.0, 1.0)
-    orientation = Quaternion(x=qx, y=qy, z=qz, w=qw)
+    orientation = Quaternion(
+        x=qx,
+        y=qy,
+        z=qz,
+        w=qw,
+    )
     return Pose(position=Vector3(x=x, y=y, z=z), orientation=orientation)
 
 

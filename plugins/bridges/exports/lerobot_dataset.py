@@ -34,7 +34,13 @@ TOLERANCE_S = 1e-4
 """Deviation of a timestamp from a multiple of 1 / fps that is rounding; as in LeRobot."""
 BLOCK_BYTES = 1 << 26
 """Size of what is held in memory at once, bytes: a recording may be larger than the memory."""
-QUANTILES = {"q01": 0.01, "q10": 0.1, "q50": 0.5, "q90": 0.9, "q99": 0.99}
+QUANTILES = {
+    "q01": 0.01,
+    "q10": 0.1,
+    "q50": 0.5,
+    "q90": 0.9,
+    "q99": 0.99,
+}
 DATA_PATH = "data/chunk-{chunk_index:03d}/file-{file_index:03d}.parquet"
 INFO = "meta/info.json"
 STATS = "meta/stats.json"
@@ -372,7 +378,14 @@ def _write_tasks(path: Path) -> None:
     columns = []
     for name, (pandas_type, numpy_type) in kinds.items():
         types = {"pandas_type": pandas_type, "numpy_type": numpy_type}
-        columns.append({"name": name, "field_name": name, "metadata": None, **types})
+        columns.append(
+            {
+                "name": name,
+                "field_name": name,
+                "metadata": None,
+                **types,
+            }
+        )
     about = {"index_columns": ["task"], "column_indexes": [], "columns": columns}
     # LeRobot looks a task up by its text, which pandas restores as the index.
     text = json.dumps({**about, "pandas_version": "2.0.0"})
