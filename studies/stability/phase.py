@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
@@ -43,7 +44,9 @@ def weak_threshold(delta: float) -> float:
     def negative_rho(z: float) -> float:
         bell = z * np.exp(-0.5 * z * z) / np.sqrt(2 * np.pi)
         tail = (1.0 + z * z) * ndtr(-z) - bell
-        return -float((1.0 - 2.0 / delta * tail) / (1.0 + z * z - 2.0 * tail))
+        numerator = 1.0 - 2.0 / delta * tail
+        denominator = 1.0 + z * z - 2.0 * tail
+        return -float(numerator / denominator)
 
     lowest = minimize_scalar(negative_rho, bounds=(0.0, 8.0), method="bounded")
     return -float(lowest.fun)
@@ -74,8 +77,10 @@ def section(page: Page, quick: bool, seed: int, executor: str) -> None:
     parts = [
         experiment.run(page.out, executor) for experiment in experiments(quick, seed)
     ]
-    every = pd.concat(parts).astype({"mean_db": float})
-    of_pads = every.groupby(["n_coefficients", "ratio", "method"], sort=False)
+    rows_of_frames = pd.concat(parts).astype({"mean_db": float})
+    keys = ["n_coefficients", "ratio", "method"]
+    # The mean over the seeds.
+    of_pads = rows_of_frames.groupby(keys, sort=False)
     psnr_db = of_pads["mean_db"].mean().unstack("method")
     # What compressing gains over reading all taxels of the same frames.
     (name,) = READINGS
@@ -98,14 +103,15 @@ def _edges(centres: Sequence[float]) -> list[float]:
 
 def _gains(rows: pd.DataFrame, quick: bool) -> Floats:
     """Gain by K/M and M/N, both ascending, dB: NaN where there is no pad."""
-    known = rows.set_index(["n_coefficients", "ratio"])["gain_db"]
+    gain_db = rows.set_index(["n_coefficients", "ratio"])["gain_db"]
     rhos = QUICK_RHOS if quick else RHOS
     ratios = QUICK_RATIOS if quick else RATIOS
     gains = np.full((len(rhos), len(ratios)), np.nan, dtype=np.float32)
     for column, ratio in enumerate(ratios):
         counts = coefficients(ratio, quick)
         for row, rho in enumerate(rhos):
-            gains[row, column] = known.get((counts[rho], ratio), np.nan)
+            pad = (counts[rho], ratio)
+            gains[row, column] = gain_db.get(pad, np.nan)
     return gains
 
 
@@ -122,18 +128,18 @@ def _draw(out: Path, rows: pd.DataFrame, quick: bool) -> str:
     deltas = np.linspace(0.02, 0.85, 80)
     threshold = [weak_threshold(delta) for delta in deltas]
     # Columns are as wide as the logarithm of M/N has them.
-    shares = [1 / ratio for ratio in (QUICK_RATIOS if quick else RATIOS)]
-    x_edges = np.exp(_edges(np.log(shares).tolist()))
+    ratios = QUICK_RATIOS if quick else RATIOS
+    logarithms = [-math.log(ratio) for ratio in ratios]
+    x_edges = np.exp(_edges(logarithms))
     y_edges = _edges(QUICK_RHOS if quick else RHOS)
     style: dict[str, Any] = {"cmap": "RdBu", "vmin": -15.0, "vmax": 15.0}
     with Chart(out, "phase_skin", caption, n, n, size_in=size_in, sharey=True) as chart:
         for axes, method in zip(chart.panels, methods, strict=True):
-            gains = _gains(rows[rows["method"] == method], quick)
+            of_method = rows[rows["method"] == method]
+            gains = np.ma.masked_invalid(_gains(of_method, quick))
             axes.set_facecolor("0.85")
             axes.grid(False)
-            cells = axes.pcolormesh(
-                x_edges, y_edges, np.ma.masked_invalid(gains), **style
-            )
+            cells = axes.pcolormesh(x_edges, y_edges, gains, **style)
             limits = {
                 "xlim": (x_edges[0], x_edges[-1]),
                 "ylim": (y_edges[0], y_edges[-1]),
