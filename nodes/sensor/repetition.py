@@ -44,7 +44,7 @@ def still_taxels(readings: npt.NDArray[Any], works: Mask) -> Mask:
     (n_rows, n_cols). `readings`: (n, n_rows, n_cols), of the untouched skin, NaN where they are
     missing; `works`: taxels that are looked at.
     """
-    still = works & (readings == readings[0]).all(axis=0)
+    still: Mask = works & (readings == readings[0]).all(axis=0)
     moving = works & ~still
     if not moving.any() or still.sum() >= MOST_STILL * works.sum():
         return np.zeros_like(works)

@@ -82,7 +82,8 @@ def _pylops_operator(problem: Bpdn) -> Any:
         def _rmatvec(self, x: Any) -> Any:
             return problem.adjoint(x)
 
-    return Operator(dtype=np.dtype(np.float32), shape=(problem.phi.m, problem.phi.n))
+    shape = (problem.phi.m, problem.phi.n)
+    return Operator(dtype=np.dtype(np.float32), shape=shape)
 
 
 def _pylops(problem: Bpdn) -> Solve:
@@ -95,7 +96,8 @@ def _pylops(problem: Bpdn) -> Solve:
     settings |= {"tol": 0, "preallocate": True}
 
     def solve(y: Floats, start: Floats, iterations: int) -> Any:
-        return fista(operator, y, x0=start, niter=iterations, **settings)[0]
+        theta, *_ = fista(operator, y, x0=start, niter=iterations, **settings)
+        return theta
 
     return solve
 
@@ -152,7 +154,8 @@ def _spgl1(problem: Bpdn) -> Solve:
         settings = {"x0": start, "iter_lim": iterations, "verbosity": 0}
         # It prints that a search was cut short, as all are here, whatever its verbosity.
         with contextlib.redirect_stdout(io.StringIO()):
-            return spgl1(operator, y, sigma=bound_n, **settings)[0]
+            theta, *_ = spgl1(operator, y, sigma=bound_n, **settings)
+        return theta
 
     return solve
 
@@ -203,11 +206,12 @@ class TotalVariation:
         proximal = sigpy.prox.L1Reg(differences.oshape, weight)
         self._settings = {"G": differences, "proxg": proximal, "max_iter": iterations}
         self._operator = _sigpy_operator(
-            lambda x: phi.forward(x.reshape(-1)[self._flat]),
-            self._image,
-            mask.shape,
-            (phi.m,),
+            self._measurements, self._image, mask.shape, (phi.m,)
         )
+
+    def _measurements(self, x: Any) -> Floats:
+        forces = x.reshape(-1)[self._flat]
+        return self._phi.forward(forces)
 
     def _image(self, y: Any) -> Floats:
         image = np.zeros(self._mask.shape, dtype=np.float32)
@@ -223,10 +227,13 @@ class TotalVariation:
         begin = time.perf_counter()
         # Its soft threshold divides 0 by 0.
         with np.errstate(invalid="ignore"):
-            solver = sigpy.app.LinearLeastSquares
-            x = solver(self._operator, y, show_pbar=False, **self._settings).run()
-        forces = np.where(self._mask, np.maximum(x, 0), 0).astype(np.float32)
-        return Solved(forces, wall_s=time.perf_counter() - begin)
+            solver = sigpy.app.LinearLeastSquares(
+                self._operator, y, show_pbar=False, **self._settings
+            )
+            x = solver.run()
+        forces = np.where(self._mask, np.maximum(x, 0), 0)
+        wall_s = time.perf_counter() - begin
+        return Solved(forces.astype(np.float32), wall_s=wall_s)
 
 
 def _sigpy_operator(

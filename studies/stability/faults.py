@@ -93,8 +93,9 @@ def _line(rng: np.random.Generator, skin: Skin) -> Mask:
     along = down * math.cos(angle) + across * math.sin(angle)
     aside = across * math.cos(angle) - down * math.sin(angle)
     half_width = rng.uniform(0.5, 1.2)
-    is_beside: Mask = (along >= 0) & (along <= length)
-    return is_beside & (np.abs(aside) <= half_width)
+    is_beside = (along >= 0) & (along <= length)
+    cells: Mask = is_beside & (np.abs(aside) <= half_width)
+    return cells
 
 
 def _scattered(rng: np.random.Generator, skin: Skin) -> Mask:

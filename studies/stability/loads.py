@@ -47,7 +47,7 @@ def _even(rng: np.random.Generator, place: Place) -> Doubles:
 
 def _half(rng: np.random.Generator, place: Place) -> Doubles:
     angle = rng.uniform(0, 2 * math.pi)
-    is_on_one_side = place.along(angle) < 0
+    is_on_one_side: Mask = place.along(angle) < 0
     return is_on_one_side.astype(np.float64)
 
 
@@ -112,7 +112,7 @@ def _box(rng: np.random.Generator, place: Place) -> Doubles:
 def _ring(rng: np.random.Generator, place: Place) -> Doubles:
     radius = max(2.0, place.radius)
     inner = rng.uniform(0.4, 0.8) * radius
-    is_ring = (place.distance <= radius) & (place.distance >= inner)
+    is_ring: Mask = (place.distance <= radius) & (place.distance >= inner)
     return is_ring.astype(np.float64)
 
 
