@@ -41,8 +41,18 @@ def main():
     parser = argparse.ArgumentParser(
         description="An emulated FlexiTac on a pseudo terminal."
     )
-    parser.add_argument("--rate", type=float, default=100.0, help="frames a second")
-    parser.add_argument("--frames", type=int, default=10**9, help="frames to send")
+    parser.add_argument(
+        "--rate",
+        type=float,
+        default=100.0,
+        help="frames a second",
+    )
+    parser.add_argument(
+        "--frames",
+        type=int,
+        default=10**9,
+        help="frames to send",
+    )
     parser.add_argument(
         "--clock", action="store_true", help="time stamps, us (u32), and jitter"
     )

@@ -119,7 +119,11 @@ def main(out: str = "calibrate.png") -> None:
         print(f"{name:<28}{off[touched].mean():>10.1f} ({off[touched & late].mean():.1f})"
               f"{rms[0]:>11.1f} ({rms[1]:.1f}){total[~touched].mean():>16.2f}")  # fmt: skip
 
-    figure, ax = plt.subplots(figsize=(9, 4), dpi=90, layout="constrained")
+    figure, ax = plt.subplots(
+        figsize=(9, 4),
+        dpi=90,
+        layout="constrained",
+    )
     colours = {
         "true": "black",
         **dict(zip(chains, ("#b9b9b9", "#c05a00", "#0b6a9c"), strict=True)),
@@ -132,8 +136,16 @@ def main(out: str = "calibrate.png") -> None:
             label=name,
             lw=2 if name == "true" else 1,
         )
-    ax.set(xlabel="minutes", ylabel="total force in N", ylim=(0, 2.2 * true.max()))
-    ax.legend(loc="upper left", ncols=2, frameon=False)
+    ax.set(
+        xlabel="minutes",
+        ylabel="total force in N",
+        ylim=(0, 2.2 * true.max()),
+    )
+    ax.legend(
+        loc="upper left",
+        ncols=2,
+        frameon=False,
+    )
     ax.spines[["top", "right"]].set_visible(False)
     figure.savefig(out)
 

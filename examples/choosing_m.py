@@ -27,12 +27,26 @@ def main(out: str = "choosing_m.png") -> None:
     basis = sparseskin.make_basis("haar", 40, 40)
     n = taxels[0].size
 
-    figure, ax = plt.subplots(figsize=(8, 4.8), dpi=90, layout="constrained")
-    ax.axhline(full, color="0.5", linestyle="--", label="all taxels (noisy)")
+    figure, ax = plt.subplots(
+        figsize=(8, 4.8),
+        dpi=90,
+        layout="constrained",
+    )
+    ax.axhline(
+        full,
+        color="0.5",
+        linestyle="--",
+        label="all taxels (noisy)",
+    )
     for name, label in (("fista", "preset paper"), ("skin", "preset skin")):
         means, worst = [], []
         for ratio in RATIOS:
-            phi = sparseskin.make_phi("sbhe", n=n, m=int(n / ratio), seed=0)
+            phi = sparseskin.make_phi(
+                "sbhe",
+                n=n,
+                m=int(n / ratio),
+                seed=0,
+            )
             solver = sparseskin.make_solver(name, phi, basis, rows="fixed")
             measurements = sparseskin.compress(taxels, phi, rows="fixed")
             reconstructed = sparseskin.reconstruct(measurements, solver)
@@ -50,7 +64,11 @@ def main(out: str = "choosing_m.png") -> None:
         print(
             f"{label}: fewest measurements with the mean PSNR of all taxels or more: {most}"
         )
-    ax.set(xlabel="N / M", ylabel="PSNR of contact frames in dB", xscale="log")
+    ax.set(
+        xlabel="N / M",
+        ylabel="PSNR of contact frames in dB",
+        xscale="log",
+    )
     ax.set_xticks(RATIOS, [f"{ratio:g}" for ratio in RATIOS])
     ax.minorticks_off()
     ax.legend(frameon=False)

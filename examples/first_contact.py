@@ -19,7 +19,12 @@ plt.switch_backend("Agg")
 
 def main(out: str = "first_contact.png") -> None:
     truth, taxels = sparseskin.simulate("lift_box_40", 420)
-    phi = sparseskin.make_phi("sbhe", n=1600, m=533, seed=0)
+    phi = sparseskin.make_phi(
+        "sbhe",
+        n=1600,
+        m=533,
+        seed=0,
+    )
     basis = sparseskin.make_basis("haar", 40, 40)
     measurements = sparseskin.compress(taxels, phi, rows="fixed")
     estimates = {"all taxels": taxels}
@@ -31,15 +36,28 @@ def main(out: str = "first_contact.png") -> None:
     first = int(np.argmax(touched))
     print(f"first contact in frame {first}")
 
-    figure = plt.figure(figsize=(11, 7), dpi=90, layout="constrained")
+    figure = plt.figure(
+        figsize=(11, 7),
+        dpi=90,
+        layout="constrained",
+    )
     maps, curves = figure.subfigures(2, 1, height_ratios=(1, 1))
     shown = first + 4
     panels = {"true forces": truth, **estimates}
     axes = maps.subplots(1, len(panels))
     for ax, (label, frames) in zip(axes, panels.items(), strict=True):
         image = ax.imshow(frames[shown], vmin=0, vmax=truth[shown].max())
-        ax.set(title=label, xticks=[], yticks=[])
-    maps.colorbar(image, ax=axes, label="force in N", shrink=0.8)
+        ax.set(
+            title=label,
+            xticks=[],
+            yticks=[],
+        )
+    maps.colorbar(
+        image,
+        ax=axes,
+        label="force in N",
+        shrink=0.8,
+    )
     maps.suptitle(f"frame {shown}, {1 + shown - first} ms after the first touch")
 
     ax = curves.subplots()
@@ -52,7 +70,11 @@ def main(out: str = "first_contact.png") -> None:
         )
     ax.axvline(first, color="0.7")
     ax.set(xlabel="frame (1 ms each)", ylabel="PSNR in dB")
-    ax.legend(frameon=False, loc="center right", bbox_to_anchor=(1, 0.42))
+    ax.legend(
+        frameon=False,
+        loc="center right",
+        bbox_to_anchor=(1, 0.42),
+    )
     figure.savefig(out)
 
 

@@ -26,7 +26,12 @@ def main() -> None:
             SkinDescription("wrench", *shape, 2.5, noise=NOISE_N, f_min=f_min), 0.0
         )
         taxels = np.stack([chain.apply(frame, k) for k, frame in enumerate(raw)])
-        phi = sparseskin.make_phi("sbhe", n=truth[0].size, m=truth[0].size // 3, seed=0)
+        phi = sparseskin.make_phi(
+            "sbhe",
+            n=truth[0].size,
+            m=truth[0].size // 3,
+            seed=0,
+        )
         solver = sparseskin.make_solver(
             "skin", phi, sparseskin.make_basis("haar", *shape)
         )

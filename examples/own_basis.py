@@ -33,7 +33,12 @@ class BlockCosine(Basis):
 def main() -> None:
     rows, cols = np.mgrid[0:40, 0:40]
     smooth = np.exp(-((rows - 18.0) ** 2 + (cols - 22.0) ** 2) / 50).astype(np.float32)
-    phi = sparseskin.make_phi("sbhe", n=1600, m=533, seed=0)
+    phi = sparseskin.make_phi(
+        "sbhe",
+        n=1600,
+        m=533,
+        seed=0,
+    )
     measurements = sparseskin.compress(smooth, phi, rows="fixed")
     for name in ("haar", "own_basis:BlockCosine"):
         basis = sparseskin.make_basis(name, 40, 40)

@@ -45,7 +45,12 @@ class ProjectedGradient(Solver):
 
 def main() -> None:
     truth, taxels = sparseskin.simulate("lift_box_40", 340)
-    phi = sparseskin.make_phi("sbhe", n=1600, m=533, seed=0)
+    phi = sparseskin.make_phi(
+        "sbhe",
+        n=1600,
+        m=533,
+        seed=0,
+    )
     basis = sparseskin.make_basis("haar", 40, 40)
     measurements = sparseskin.compress(taxels, phi)
     for name in ("own_solver:ProjectedGradient", "fista"):

@@ -35,7 +35,11 @@ model = "{model}"
 
 def recording(body: str, seeds: range, path: Path) -> Path:
     """A body that is pressed again and again on 20 x 20 taxels, in place of a skin of yours."""
-    taps = Timing(untouched=0, contact=4, pause=1)
+    taps = Timing(
+        untouched=0,
+        contact=4,
+        pause=1,
+    )
     how = {
         "course": "sudden",
         "active": 0.2,

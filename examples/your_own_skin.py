@@ -29,7 +29,12 @@ def main(out: str = "your_own_skin.png", path: str = "example:fingers") -> None:
     shown = int(taxels.sum(axis=(1, 2)).argmax())
     panels = {"readings": taxels[shown]}
     for ratio in (2, 4, 8):
-        phi = sparseskin.make_phi("sbhe", n=n, m=n // ratio, seed=0)
+        phi = sparseskin.make_phi(
+            "sbhe",
+            n=n,
+            m=n // ratio,
+            seed=0,
+        )
         basis = sparseskin.make_basis("haar", n_rows, n_cols)
         solver = sparseskin.make_solver("skin", phi, basis, mask, rows="fixed")
         measurements = sparseskin.compress(taxels, phi, mask, rows="fixed")
@@ -42,11 +47,19 @@ def main(out: str = "your_own_skin.png", path: str = "example:fingers") -> None:
         )
 
     figure, axes = plt.subplots(
-        1, len(panels), figsize=(10, 2.9), dpi=90, layout="constrained"
+        1,
+        len(panels),
+        figsize=(10, 2.9),
+        dpi=90,
+        layout="constrained",
     )
     for ax, (label, frame) in zip(axes, panels.items(), strict=True):
         image = ax.imshow(frame, vmin=0, vmax=taxels[shown].max())
-        ax.set(title=label, xticks=[], yticks=[])
+        ax.set(
+            title=label,
+            xticks=[],
+            yticks=[],
+        )
     figure.colorbar(image, ax=axes, label=f"readings, {unit}")
     figure.savefig(out)
 

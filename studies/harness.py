@@ -63,7 +63,11 @@ class Measurement:
     @property
     def of_compressor(self) -> dict[str, Any]:
         """Settings of a compressor beside the ratio."""
-        return {"rows": self.rows, "phi": self.phi, "block": self.block}
+        return {
+            "rows": self.rows,
+            "phi": self.phi,
+            "block": self.block,
+        }
 
 
 @dataclass(frozen=True)
@@ -157,7 +161,11 @@ def _first_phi(at: Measurement, take: Take, seed: int) -> Phi:
     """Measurement matrix of the first frame of a take."""
     n_rows, n_cols = take.mask.shape
     skin = Skin(n_rows, n_cols, take.f_max, mask=take.mask)
-    settings = CompressorSettings(ratio=at.ratio, seed=seed, **at.of_compressor)
+    settings = CompressorSettings(
+        ratio=at.ratio,
+        seed=seed,
+        **at.of_compressor,
+    )
     return settings.phis(skin)[0]
 
 
@@ -262,7 +270,13 @@ def method_rows(
     rows = []
     for key, of_point in zip(keys, found, strict=True):
         for method, figures in of_point["methods"].items():
-            rows.append({**key, name: method, **figures})
+            rows.append(
+                {
+                    **key,
+                    name: method,
+                    **figures,
+                }
+            )
     return pd.DataFrame(rows)
 
 

@@ -148,7 +148,13 @@ def points(quick: bool, seed: int) -> list[dict[str, Any]]:
     points = []
     for scene in QUICK_SCENES if quick else SCENES:
         for variant in variants(SCENES[scene]()):
-            points.append({"scene": scene, "variant": variant, **common})
+            points.append(
+                {
+                    "scene": scene,
+                    "variant": variant,
+                    **common,
+                }
+            )
     return points
 
 
@@ -247,7 +253,11 @@ def _draw(out: Path, rows: pd.DataFrame) -> str:
             of_scene = rows[rows["scene"] == scene]
             _mark_noise(axes, of_scene["noise_db"].iloc[0], len(names))
             _draw_changes(axes, of_scene, names)
-            axes.set(xlim=CHANGES_DB, ylim=(-0.6, len(names) + 0.9), title=scene)
+            axes.set(
+                xlim=CHANGES_DB,
+                ylim=(-0.6, len(names) + 0.9),
+                title=scene,
+            )
             axes.set_yticks(range(len(names)), [""] * len(names) if k % 3 else names)
         chart.figure.suptitle(
             "What a scene needs: its frames with one term removed or added, against its own\n"
@@ -260,7 +270,11 @@ def _draw(out: Path, rows: pd.DataFrame) -> str:
 
 def _mark_noise(axes: Any, noise_db: float, n_names: int) -> None:
     """Shade the changes that are larger than the noise, and say what either side means."""
-    shade = {"color": "#dddddd", "zorder": 0, "label": "above the noise"}
+    shade = {
+        "color": "#dddddd",
+        "zorder": 0,
+        "label": "above the noise",
+    }
     axes.axvspan(CHANGES_DB[0], noise_db, **shade)
     style = {
         "ha": "center",
@@ -286,4 +300,11 @@ def _draw_changes(axes: Any, of_scene: pd.DataFrame, names: list[str]) -> None:
         axes.hlines(heights, worst, changes, color=colour, lw=1.0)
         axes.plot(changes, heights, marker, color=colour, label=label)
         label_of_worst = f"{label}: worst frame"
-        axes.plot(worst, heights, "|", color=colour, ms=9, label=label_of_worst)
+        axes.plot(
+            worst,
+            heights,
+            "|",
+            color=colour,
+            ms=9,
+            label=label_of_worst,
+        )

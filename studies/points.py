@@ -90,7 +90,13 @@ def compute(
                     "version": STUDY_VERSION,
                     "code": code,
                 }
-                line = json.dumps({**origin, "point": missing[key], "figures": figures})
+                line = json.dumps(
+                    {
+                        **origin,
+                        "point": missing[key],
+                        "figures": figures,
+                    }
+                )
                 file.write(line.encode() + b"\n")
                 file.flush()
                 # As it would be read: lists for tuples, so that a resumed run has the same.

@@ -95,7 +95,12 @@ def add_layout(parser: argparse.ArgumentParser, but: Sequence[str] = ()) -> None
             group = parser
         # The first clause is enough for a line of help.
         about = entry["doc"].partition(";")[0]
-        group.add_argument(_option_of(key), default=None, help=about, **_kind_of(entry))
+        group.add_argument(
+            _option_of(key),
+            default=None,
+            help=about,
+            **_kind_of(entry),
+        )
 
 
 def _option_of(key: str) -> str:
@@ -208,7 +213,12 @@ def stated_values(
 def add_summary(parser: argparse.ArgumentParser) -> None:
     """Add --summary."""
     about = "write the summary as JSON"
-    rare(parser).add_argument("--summary", metavar="OUT.json", type=Path, help=about)
+    rare(parser).add_argument(
+        "--summary",
+        metavar="OUT.json",
+        type=Path,
+        help=about,
+    )
 
 
 def check_summary(path: Path | None) -> None:

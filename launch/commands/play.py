@@ -48,23 +48,50 @@ def configure_play(parser: argparse.ArgumentParser) -> None:
     rarely_used = rare(parser)
     parser.add_argument("file", metavar="F.mcap", help="recording")
     about = "times the recorded speed; 0: as fast as it is read"
-    parser.add_argument("--rate", type=real(False), metavar="R", help=about)
     parser.add_argument(
-        "--loop", action="store_true", default=None, help="start again at the end"
+        "--rate",
+        type=real(False),
+        metavar="R",
+        help=about,
+    )
+    parser.add_argument(
+        "--loop",
+        action="store_true",
+        default=None,
+        help="start again at the end",
     )
     # The settings have a unit in their names, the options do not.
     seconds: dict[str, Any] = {"type": real(False), "metavar": "S"}
-    parser.add_argument("--start", dest="start_s", help="seconds to skip", **seconds)
     parser.add_argument(
-        "--duration", dest="duration_s", help="seconds to play", **seconds
+        "--start",
+        dest="start_s",
+        help="seconds to skip",
+        **seconds,
     )
-    rarely_used.add_argument("--topics", nargs="+", metavar="T", help="topics to play")
+    parser.add_argument(
+        "--duration",
+        dest="duration_s",
+        help="seconds to play",
+        **seconds,
+    )
+    rarely_used.add_argument(
+        "--topics",
+        nargs="+",
+        metavar="T",
+        help="topics to play",
+    )
     about = "send no frame before all readers have handled the last"
     rarely_used.add_argument(
-        "--lockstep", action="store_true", default=None, help=about
+        "--lockstep",
+        action="store_true",
+        default=None,
+        help=about,
     )
     rarely_used.add_argument(
-        "--wait", type=whole(0), metavar="K", help="wait for K readers first"
+        "--wait",
+        type=whole(0),
+        metavar="K",
+        help="wait for K readers first",
     )
     rarely_used.add_argument("--pause", action="store_true", help="start paused")
     add_page(parser, "open a live page that shows it, again and again")

@@ -108,7 +108,11 @@ class Checker:
         if record is not None:
             # A process of its own: that it writes a file holds up no other node. It has no place:
             # it runs wherever --record was typed.
-            tables[RECORDER] = {"type": "recorder", "out": record, "process": ""}
+            tables[RECORDER] = {
+                "type": "recorder",
+                "out": record,
+                "process": "",
+            }
             self.overridden[RECORDER, "out"] = "--record"
 
         nodes = self.nodes(tables)

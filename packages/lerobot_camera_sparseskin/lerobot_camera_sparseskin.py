@@ -89,7 +89,11 @@ class SparseskinCamera(Camera):
     def find_cameras() -> list[dict[str, Any]]:
         """The patches of all graphs that run on this host."""
         return [
-            {"type": "sparseskin", "id": topic.split("/")[1], "graph": graph.label}
+            {
+                "type": "sparseskin",
+                "id": topic.split("/")[1],
+                "graph": graph.label,
+            }
             for graph in running_graphs()
             for topic in graph.writers()
             if topic.endswith(f"/{Reconstruction.schema}")

@@ -93,7 +93,11 @@ class AdaptiveSkinSolver(Solver):
         self._rows_of: AdaptivePhi = phi
 
         # All taxels, as if they had been measured.
-        self._whole = SbhePhi(n=phi.n, m=phi.n, seed=0)
+        self._whole = SbhePhi(
+            n=phi.n,
+            m=phi.n,
+            seed=0,
+        )
         self._filter = SkinSolver(
             self._whole, basis, self.mask, iterations=iterations, fast=fast
         )

@@ -77,14 +77,27 @@ def run(out: Path, quick: bool, seed: int, executor: str) -> list[str]:
                 # Nothing else runs beside a loop that has the skin in its own process.
                 ask_node(graph, "sensor", "pause", way == "stream")
                 for age_ms in ages_of(way, words, folder):
-                    rows.append({"round": number, "way": way, "age_ms": age_ms})
+                    rows.append(
+                        {
+                            "round": number,
+                            "way": way,
+                            "age_ms": age_ms,
+                        }
+                    )
 
     table = summary(pd.DataFrame(rows))
     page = Page(out, "control-loop", Path(__file__).with_suffix(".md"), quick)
     cores = len(os.sched_getaffinity(0))
     page.section(
         "",
-        markdown(table, {"p50, ms": ".2f", "p99, ms": ".2f", "p50 to echo": ".3f"}),
+        markdown(
+            table,
+            {
+                "p50, ms": ".2f",
+                "p99, ms": ".2f",
+                "p50 to echo": ".3f",
+            },
+        ),
         rate_hz=RATE_HZ,
         n_rounds=n_rounds,
         n_messages=n_messages,
@@ -142,7 +155,15 @@ def bridge(folder: Path) -> Iterator[None]:
     for setting in settings:
         words += ["--set", setting]
     log = (folder / "bridge.log").open("w")
-    with log, subprocess.Popen(words, cwd=folder, stdout=log, stderr=log) as process:
+    with (
+        log,
+        subprocess.Popen(
+            words,
+            cwd=folder,
+            stdout=log,
+            stderr=log,
+        ) as process,
+    ):
         try:
             yield
         finally:
@@ -184,7 +205,12 @@ def compiled(folder: Path) -> tuple[str, str]:
     program = str(folder / "ages")
     source = str(sources / "ages.cpp")
     words = ["g++", "-std=c++17", "-O2", source, "-o", program, "-lzmq"]
-    compiler = subprocess.run(words, capture_output=True, text=True, check=False)
+    compiler = subprocess.run(
+        words,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
     if compiler.returncode:
         return program, "libzmq3-dev is not installed"
     return program, ""
@@ -220,6 +246,16 @@ def summary(rows: pd.DataFrame) -> pd.DataFrame:
         # Ratios of one round: both ran on the same host at about the same time.
         ratio = float(np.mean(p50s.loc[way] / p50s.loc[COMPARED]))
         p50, p99 = np.quantile(ages_ms, [0.5, 0.99])
-        figures = {"p50, ms": float(p50), "p99, ms": float(p99), "p50 to echo": ratio}
-        summaries.append({"way": text, **figures, "messages": len(ages_ms)})
+        figures = {
+            "p50, ms": float(p50),
+            "p99, ms": float(p99),
+            "p50 to echo": ratio,
+        }
+        summaries.append(
+            {
+                "way": text,
+                **figures,
+                "messages": len(ages_ms),
+            }
+        )
     return pd.DataFrame(summaries)

@@ -45,7 +45,12 @@ def configure(parser: argparse.ArgumentParser) -> None:
         place.add_argument(f"--{name.replace('_', '-')}", metavar=key.form, help=about)
 
     about = "write all figures to this file too, with all digits"
-    parser.add_argument("--csv", metavar="FILE", type=Path, help=about)
+    parser.add_argument(
+        "--csv",
+        metavar="FILE",
+        type=Path,
+        help=about,
+    )
     about = "rates, bytes and wires alone, at once: nothing is simulated"
     parser.add_argument("--no-accuracy", action="store_true", help=about)
     about = f"simulated scenes, 2..{N_SCENES}: more take longer (default: {FEW_SCENES})"

@@ -27,8 +27,16 @@ LENGTH = {
     "m": 1.0,
     "um": 1e-6,
 }
-FORCE = {"N": 1.0, "mN": 1e-3, "kN": 1e3}
-RATE = {"Hz": 1.0, "kHz": 1e3, "": 1.0}
+FORCE = {
+    "N": 1.0,
+    "mN": 1e-3,
+    "kN": 1e3,
+}
+RATE = {
+    "Hz": 1.0,
+    "kHz": 1e3,
+    "": 1.0,
+}
 CLOCK = {
     "Hz": 1.0,
     "kHz": 1e3,
@@ -41,7 +49,11 @@ TIME = {
     "us": 1e-6,
     "ns": 1e-9,
 }
-SAMPLES = {"S/s": 1.0, "kS/s": 1e3, "MS/s": 1e6}
+SAMPLES = {
+    "S/s": 1.0,
+    "kS/s": 1e3,
+    "MS/s": 1e6,
+}
 BITS_A_SECOND = {
     "": 1.0,
     "k": 1e3,

@@ -109,12 +109,20 @@ def make_reader(
     if strategy.phi == LARGER:
         return larger_raster(mask, bits, strategy.m(n))
     if strategy.reads_single:
-        settings = CompressorSettings(ratio=strategy.ratio, seed=seed, **options)
+        settings = CompressorSettings(
+            ratio=strategy.ratio,
+            seed=seed,
+            **options,
+        )
         if strategy.phi == "full":
             return raster(mask, bits)
         return raster(mask, bits, settings.phis(Skin(*shape, F_MAX_N, mask=mask)))
 
-    options |= {"mask": mask, "f_max_n": F_MAX_N, "sigma_end": noise * F_MAX_N}
+    options |= {
+        "mask": mask,
+        "f_max_n": F_MAX_N,
+        "sigma_end": noise * F_MAX_N,
+    }
     m = strategy.m(n, mask.shape[0])
     method = make_method(PRESETS["skin"], shape, strategy.ratio, seed, m=m, **options)
     method.bits = bits

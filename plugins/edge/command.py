@@ -30,15 +30,33 @@ def configure(parser: argparse.ArgumentParser) -> None:
     # The options that most users leave out are listed apart.
     make = add("export", _export, "write its program")
     rare_options = rare(make)
-    make.add_argument("--n-rows", metavar="R", type=int, help="rows of taxels")
-    make.add_argument("--n-cols", metavar="C", type=int, help="columns of taxels")
+    make.add_argument(
+        "--n-rows",
+        metavar="R",
+        type=int,
+        help="rows of taxels",
+    )
+    make.add_argument(
+        "--n-cols",
+        metavar="C",
+        type=int,
+        help="columns of taxels",
+    )
     about = f"taxels a measurement (default: {RATIO:g})"
     make.add_argument("--ratio", type=float, help=about)
     rare_options.add_argument(
-        "--m", metavar="M", type=int, help="number of measurements, for --ratio"
+        "--m",
+        metavar="M",
+        type=int,
+        help="number of measurements, for --ratio",
     )
     about = "bits of a measurement, 4..16 (default: 8)"
-    make.add_argument("--bits", type=int, default=8, help=about)
+    make.add_argument(
+        "--bits",
+        type=int,
+        default=8,
+        help=about,
+    )
     about = "rows of the matrix: the same in each frame or not (default: as the compressor chooses)"
     rare_options.add_argument("--rows-mode", choices=ROWS, help=about)
     about = "bits of a reading, 1..16: counts are 0 .. 2^bits - 1 (default: 12)"
@@ -58,10 +76,16 @@ def configure(parser: argparse.ArgumentParser) -> None:
         help=about,
     )
     rare_options.add_argument(
-        "--seed", type=int, default=0, help="seed of the matrix (default: 0)"
+        "--seed",
+        type=int,
+        default=0,
+        help="seed of the matrix (default: 0)",
     )
     make.add_argument(
-        "--skin", metavar="skin.toml", type=Path, help="rows, columns, mask of a skin"
+        "--skin",
+        metavar="skin.toml",
+        type=Path,
+        help="rows, columns, mask of a skin",
     )
     about = "folder to write to, a new one"
     make.add_argument(

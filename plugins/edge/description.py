@@ -133,7 +133,13 @@ class EdgeDescription(Settings):
             # As the file states a mask: a text a row.
             texts = tuple("".join(row) for row in np.where(mask, "1", "0"))
         # The number of measurements depends on that of the taxels, which the mask decides.
-        description = cls(n_rows, n_cols, m=1, mask=texts, **values)
+        description = cls(
+            n_rows,
+            n_cols,
+            m=1,
+            mask=texts,
+            **values,
+        )
         settings = CompressorSettings(
             phi="sbhe",
             ratio=ratio,

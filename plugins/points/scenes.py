@@ -204,7 +204,10 @@ class PointScene(Source):
         walked = 0.0
         while walked < length and largest.size > 1:
             distances, predecessors = dijkstra(
-                graph, directed=False, indices=corners[-1], return_predecessors=True
+                graph,
+                directed=False,
+                indices=corners[-1],
+                return_predecessors=True,
             )
             goal = int(rng.choice(largest))
             way_back = []

@@ -17,7 +17,10 @@ def configure(parser: argparse.ArgumentParser) -> None:
     )
     make = add("train", _train, "train a model by recordings and labels")
     make.add_argument(
-        "recordings", metavar="RECORDING", nargs="+", help="recording of any format"
+        "recordings",
+        metavar="RECORDING",
+        nargs="+",
+        help="recording of any format",
     )
     about = "table, CSV: recording, label; and begin_s, end_s in it, if it has several labels"
     make.add_argument(
@@ -38,7 +41,12 @@ def configure(parser: argparse.ArgumentParser) -> None:
     )
     default = "(default: %(default)s; readings where there is none)"
     about = f"what the node will read {default}"
-    make.add_argument("--reads", choices=READS, default=READS[0], help=about)
+    make.add_argument(
+        "--reads",
+        choices=READS,
+        default=READS[0],
+        help=about,
+    )
 
 
 def _train(arguments: argparse.Namespace) -> int:

@@ -57,7 +57,11 @@ def run(out: Path, quick: bool, seed: int, executor: str) -> list[str]:
     n_frames = QUICK_FRAMES if quick else N_FRAMES
     frames = frames_of(n_frames, quick)
     rows = unrefused(experiment(frames, seeds).run(out, executor))
-    rows = rows.assign(body=named(rows), preset=rows["method"], kind=rows["phi"])
+    rows = rows.assign(
+        body=named(rows),
+        preset=rows["method"],
+        kind=rows["phi"],
+    )
 
     points = [{"seed": seed_of_point} for seed_of_point in seeds]
     wires = method_rows(points, compute(wiring, points, out, executor, "wires"), "kind")

@@ -326,7 +326,11 @@ def _arrays_of(
     in_small_letters = {
         str(name).lower(): value for name, value in attributes_here.items()
     }
-    attributes = {**outer, **in_small_letters, **attributes_here}
+    attributes = {
+        **outer,
+        **in_small_letters,
+        **attributes_here,
+    }
     if (group / ARRAY).is_file():
         yield path, attributes
         return
@@ -382,7 +386,11 @@ def _json(path: Path, where: str) -> dict[str, Any] | None:
 
 def _fill(value: Any, where: str) -> float | int | bool:
     """The number of places that are not stored."""
-    values = {"NaN": math.nan, "Infinity": math.inf, "-Infinity": -math.inf}
+    values = {
+        "NaN": math.nan,
+        "Infinity": math.inf,
+        "-Infinity": -math.inf,
+    }
     if isinstance(value, str) and value in values:
         return values[value]
     if isinstance(value, int | float):

@@ -74,11 +74,22 @@ def rows(
 ) -> pd.DataFrame:
     """A row a source, ratio and seed: figures of `ContactScores`."""
     points = [
-        {"frames": of, "ratio": ratio, "seed": seed}
+        {
+            "frames": of,
+            "ratio": ratio,
+            "seed": seed,
+        }
         for of, ratio, seed in product(map(stated, frames), (1, *CONTACT_RATIOS), seeds)
     ]
     results = compute(followed, points, out, executor, "contacts")
-    keys = [{**p["frames"], "ratio": p["ratio"], "seed": p["seed"]} for p in points]
+    keys = [
+        {
+            **p["frames"],
+            "ratio": p["ratio"],
+            "seed": p["seed"],
+        }
+        for p in points
+    ]
     return method_rows(keys, results)
 
 

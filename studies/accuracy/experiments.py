@@ -268,7 +268,13 @@ class Runs:
         stop = ALONE_FRAMES * 100
         measurements = [*map(Measurement, RATIOS)]
         scenes = [
-            SceneFrames(scene, first=0, stop=stop, every=100) for scene in SCENES[:4]
+            SceneFrames(
+                scene,
+                first=0,
+                stop=stop,
+                every=100,
+            )
+            for scene in SCENES[:4]
         ]
         frames: list[Frames] = [*self.recorded_frames(ALONE_FRAMES), *scenes]
         return self._run(

@@ -288,7 +288,11 @@ COLUMNS = {
     "silent with its fault, %": Column("+z.1f", 1.0),
     "false alarms with its fault, %": Column("+z.1f", 1.0),
 }
-COUNTS = {"wrong": "wrong", "silent": "silent", "alarms": "false alarms"}
+COUNTS = {
+    "wrong": "wrong",
+    "silent": "silent",
+    "alarms": "false alarms",
+}
 """Counts of `Verdict`, and their names in columns."""
 NOTHING = "nothing"
 
@@ -325,7 +329,11 @@ def points(n_worlds: int, n_own: int, seed: int) -> list[dict[str, Any]]:
     those of `OWN_FAULTS`.
     """
     every = [
-        {"rule": name, "seed": 1000 * seed + k, "has_fault": has_fault}
+        {
+            "rule": name,
+            "seed": 1000 * seed + k,
+            "has_fault": has_fault,
+        }
         for k in range(n_worlds)
         for has_fault in (False, True)
         for name in (UNCHANGED, *RULES)
@@ -354,7 +362,11 @@ def measure(point: dict[str, Any]) -> dict[str, Any]:
     with switched_off(rule), np.errstate(all="ignore"):
         verdict = judge(world)
     is_still = world.load.motion == "still" and world.rows == ROTATING
-    return {**vars(verdict), "is_still": is_still, "fault": fault}
+    return {
+        **vars(verdict),
+        "is_still": is_still,
+        "fault": fault,
+    }
 
 
 def worlds(out: Path, executor: str, quick: bool, seed: int) -> pd.DataFrame:
@@ -418,7 +430,13 @@ def table(scores: pd.DataFrame, of_worlds: pd.DataFrame) -> pd.DataFrame:
     base = pd.concat([of_scores.loc[UNCHANGED], in_worlds.loc[UNCHANGED]])
     made = pd.concat([changes(of_scores), changes_of_worlds(of_worlds)], axis=1)
 
-    lines = [{"rule": UNCHANGED, "off by": "", "its fault": ""}]
+    lines = [
+        {
+            "rule": UNCHANGED,
+            "off by": "",
+            "its fault": "",
+        }
+    ]
     lines[0] |= {key: f"{base[key]:.3g}" for key in COLUMNS if key in base}
     for name, rule in RULES.items():
         line = {

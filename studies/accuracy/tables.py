@@ -360,7 +360,11 @@ def varied(page: Page, runs: Runs) -> None:
     names = rows["path"].map(lambda path: Path(path).name, "ignore")
     page.csv("constants", rows.assign(recording=names).drop(columns=["path"]))
     page.section(
-        "Constants", changes, least=LEAST_ERROR, ratio=max(RATIOS), wrong=100 * WRONG
+        "Constants",
+        changes,
+        least=LEAST_ERROR,
+        ratio=max(RATIOS),
+        wrong=100 * WRONG,
     )
 
 
@@ -376,7 +380,11 @@ def without_rules(
     lines = rules.table(rows, of_worlds)
     print(markdown(lines))
     page.csv("rules", of_worlds)
-    names = {"far": f"{FAR_FROM_READING:g}", "residue": f"{RESIDUE:.0%}", "n": n_worlds}
+    names = {
+        "far": f"{FAR_FROM_READING:g}",
+        "residue": f"{RESIDUE:.0%}",
+        "n": n_worlds,
+    }
     page.section("Rules", lines, ratio=max(RATIOS), **names)
 
 
@@ -541,7 +549,11 @@ def facts(rows: pd.DataFrame, n_most: int) -> pd.DataFrame:
         stop = part.first + len(part.frames)
         lines.append(
             {
-                **{"recording": name, "N": x.shape[1], "unit": part.unit},
+                **{
+                    "recording": name,
+                    "N": x.shape[1],
+                    "unit": part.unit,
+                },
                 "grid": "{} x {}".format(*part.mask.shape),
                 "frames": f"{part.first}..{stop - 1} of {part.n_recorded}",
                 "loaded": int(of_part["n_contact"].max() or 0),
@@ -602,7 +614,14 @@ def _draw_rates(out: Path, rows: pd.DataFrame) -> str:
     ticks = [1000 / rate for rate in RATES_HZ]
     labels = [f"{rate}\n{ms:.3g}" for rate, ms in zip(RATES_HZ, ticks, strict=True)]
     with Chart(
-        out, "gain", caption, n, n, size_in=(9.5, 4.4), legend_columns=3, sharey=True
+        out,
+        "gain",
+        caption,
+        n,
+        n,
+        size_in=(9.5, 4.4),
+        legend_columns=3,
+        sharey=True,
     ) as chart:
         for axes, scene in zip(chart.panels, RATED_SCENES, strict=True):
             of_scene = rows[(rows["scene"] == scene) & rows["method"].isin(drawn)]

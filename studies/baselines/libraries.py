@@ -96,7 +96,13 @@ def _pylops(problem: Bpdn) -> Solve:
     settings |= {"tol": 0, "preallocate": True}
 
     def solve(y: Floats, start: Floats, iterations: int) -> Any:
-        theta, *_ = fista(operator, y, x0=start, niter=iterations, **settings)
+        theta, *_ = fista(
+            operator,
+            y,
+            x0=start,
+            niter=iterations,
+            **settings,
+        )
         return theta
 
     return solve
@@ -113,7 +119,13 @@ def _pyproximal(problem: Bpdn) -> Solve:
 
     def solve(y: Floats, start: Floats, iterations: int) -> Any:
         distance = L2(Op=operator, b=y)
-        return ProximalGradient(distance, l1, x0=start, niter=iterations, **settings)
+        return ProximalGradient(
+            distance,
+            l1,
+            x0=start,
+            niter=iterations,
+            **settings,
+        )
 
     return solve
 
@@ -126,7 +138,11 @@ def _sigpy(problem: Bpdn) -> Solve:
     m = problem.phi.m
     operator = _sigpy_operator(problem.forward, problem.adjoint, (n,), (m,))
     proximal = sigpy.prox.L1Reg([n], problem.lambda_n)
-    settings = {"proxg": proximal, "alpha": 1.0, "show_pbar": False}
+    settings = {
+        "proxg": proximal,
+        "alpha": 1.0,
+        "show_pbar": False,
+    }
 
     def solve(y: Floats, start: Floats, iterations: int) -> Any:
         of_call = {"x": start.copy(), "max_iter": iterations}
@@ -151,7 +167,11 @@ def _spgl1(problem: Bpdn) -> Solve:
     logging.getLogger("spgl1").setLevel(logging.ERROR)
 
     def solve(y: Floats, start: Floats, iterations: int) -> Any:
-        settings = {"x0": start, "iter_lim": iterations, "verbosity": 0}
+        settings = {
+            "x0": start,
+            "iter_lim": iterations,
+            "verbosity": 0,
+        }
         # It prints that a search was cut short, as all are here, whatever its verbosity.
         with contextlib.redirect_stdout(io.StringIO()):
             theta, *_ = spgl1(operator, y, sigma=bound_n, **settings)
@@ -204,7 +224,11 @@ class TotalVariation:
         self._flat = np.flatnonzero(mask)
         differences = sigpy.linop.FiniteDifference(list(mask.shape))
         proximal = sigpy.prox.L1Reg(differences.oshape, weight)
-        self._settings = {"G": differences, "proxg": proximal, "max_iter": iterations}
+        self._settings = {
+            "G": differences,
+            "proxg": proximal,
+            "max_iter": iterations,
+        }
         self._operator = _sigpy_operator(
             self._measurements, self._image, mask.shape, (phi.m,)
         )

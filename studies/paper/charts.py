@@ -36,12 +36,22 @@ def draw_maps(out: Path, scene: str, maps: Mapping[str, Any]) -> str:
             noisy = f"noisy, {noisy_db:.1f} dB"
             notes = ("true", noisy, f"reconstructed, {ours_db:.1f} dB")
             for axes, image, note in zip(row, images, notes, strict=True):
-                drawn = axes.imshow(image, cmap="viridis", origin="lower", **scale)
+                drawn = axes.imshow(
+                    image,
+                    cmap="viridis",
+                    origin="lower",
+                    **scale,
+                )
                 axes.set(title=note, xlabel="column")
                 axes.grid(False)
             time_ms = frame * scene_of(scene).dt_ns * 1e-6
             row[0].set_ylabel(f"{title}, {time_ms:.1f} ms\nrow")
-            chart.figure.colorbar(drawn, ax=row, label="force in N", shrink=0.9)
+            chart.figure.colorbar(
+                drawn,
+                ax=row,
+                label="force in N",
+                shrink=0.9,
+            )
     return chart.markdown
 
 
@@ -72,8 +82,18 @@ def draw_sequences(out: Path, results: Results, by: str) -> str:
                     "marker": MARKERS[k],
                     "markevery": (k * 5 % 30, max(1, len(times_ms) // 8)),
                 }
-                axes.plot(times_ms, values[part], label=label, markersize=4, **style)
-            axes.set(title=title, xlabel="time in the scene in ms", ylabel="PSNR in dB")
+                axes.plot(
+                    times_ms,
+                    values[part],
+                    label=label,
+                    markersize=4,
+                    **style,
+                )
+            axes.set(
+                title=title,
+                xlabel="time in the scene in ms",
+                ylabel="PSNR in dB",
+            )
     return chart.markdown
 
 

@@ -118,7 +118,12 @@ def window(scene: str, quick: bool) -> SceneFrames:
 def candidate(basis: str = "haar", **settings: Any) -> Candidate:
     """The paper's method, with some other settings."""
     return Candidate(
-        {**PRESETS["paper"], "basis": basis, **settings}, changes={"rows": PAPER_ROWS}
+        {
+            **PRESETS["paper"],
+            "basis": basis,
+            **settings,
+        },
+        changes={"rows": PAPER_ROWS},
     )
 
 

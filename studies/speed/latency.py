@@ -33,7 +33,11 @@ STAGES = (
 )
 WARM_UP = 500
 """First frames of the sensor, left out: new processes start with cold caches and memory."""
-QUANTILES = {"p50": 0.5, "p99": 0.99, "p99.9": 0.999}
+QUANTILES = {
+    "p50": 0.5,
+    "p99": 0.99,
+    "p99.9": 0.999,
+}
 GRAPHS = (
     ("skin", 0, False),
     ("skin", 0, True),
@@ -173,8 +177,18 @@ def stages_ns(sensor: Times, edge: Times, host: Times) -> Times:
     _, sensor_sent = _of_frames(sensor, stamps)
     _, edge_came, edge_sent = _of_frames(edge, stamps)
     _, host_came, called, solved, host_sent = _of_frames(host, stamps)
-    edge_queue = _waited(stamps, sent=sensor_sent, came=edge_came, free=edge_sent)
-    host_queue = _waited(stamps, sent=edge_sent, came=host_came, free=host_sent)
+    edge_queue = _waited(
+        stamps,
+        sent=sensor_sent,
+        came=edge_came,
+        free=edge_sent,
+    )
+    host_queue = _waited(
+        stamps,
+        sent=edge_sent,
+        came=host_came,
+        free=host_sent,
+    )
     columns = [
         sensor_sent,
         edge_came - sensor_sent - edge_queue,

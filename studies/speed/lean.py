@@ -178,7 +178,11 @@ def _host(
         _note(notes, stamp_ns)
 
 
-_RUN: dict[str, Callable[..., None]] = {"sensor": _sensor, "edge": _edge, "host": _host}
+_RUN: dict[str, Callable[..., None]] = {
+    "sensor": _sensor,
+    "edge": _edge,
+    "host": _host,
+}
 
 
 def _note(notes: Notes, stamp_ns: int) -> None:

@@ -25,7 +25,11 @@ PROCESSES: dict[str, dict[str, str]] = {
     "one": dict.fromkeys(NODES, SHARED),
 }
 """Name of the process of each node that shares one, by the kind of graph."""
-RATIOS = {"cpu": "cpu_us", "p50": "p50_ms", "p99": "p99_ms"}
+RATIOS = {
+    "cpu": "cpu_us",
+    "p50": "p50_ms",
+    "p99": "p99_ms",
+}
 """Figure of each ratio."""
 SCENE = "drag_wrench_40"
 RATES_HZ = (1000, 300, 100)
@@ -50,7 +54,11 @@ def points(quick: bool, seed: int) -> list[dict[str, Any]]:
         "iterations": STEPS,
         "monitor": True,
     }
-    common |= {"seed": seed, "slices": SLICES, "seconds": SECONDS}
+    common |= {
+        "seed": seed,
+        "slices": SLICES,
+        "seconds": SECONDS,
+    }
     rates_hz = QUICK_RATES_HZ if quick else RATES_HZ
     try:
         Scheduling(priority=PRIORITY).check_permitted()
@@ -76,7 +84,11 @@ def measure(point: dict[str, Any]) -> dict[str, Any]:
     for _ in range(point["slices"]):
         figures = {}
         for kind, of_nodes in PROCESSES.items():
-            graph = {**point, "n_frames": n_frames, "processes": of_nodes}
+            graph = {
+                **point,
+                "n_frames": n_frames,
+                "processes": of_nodes,
+            }
             figures[kind] = _figures(latency.run_graph(graph), of_nodes)
         slices.append(with_ratios(figures))
     return medians(slices)

@@ -37,7 +37,11 @@ SIZES = {scene: size for size, scene in latency.SCENES.items()}
 PATCH_SIDE = 64
 PATCHES = (1, 4, 16, 64, 244)
 QUICK_PATCHES = (1, 4)
-LOADS = {0.0: "all pressed", 0.75: "a quarter pressed", 1.0: "at rest"}
+LOADS = {
+    0.0: "all pressed",
+    0.75: "a quarter pressed",
+    1.0: "at rest",
+}
 """Part of the patches that nothing presses, and what a body is then."""
 GOAL = 244
 """Patches of a million taxels."""
@@ -165,10 +169,21 @@ def bodies(page: Page, quick: bool, seed: int) -> str:
 
 def quiet_body(page: Page, quick: bool, seed: int) -> str:
     """A body of which one patch is touched, by three ways to send it."""
-    size = {"patches": 64, "side": 16, "n_frames": 2000}
+    size = {
+        "patches": 64,
+        "side": 16,
+        "n_frames": 2000,
+    }
     if quick:
         size |= {"patches": 16, "n_frames": 100}
-    points = [{"way": way, **size, "seed": seed} for way in WAYS]
+    points = [
+        {
+            "way": way,
+            **size,
+            "seed": seed,
+        }
+        for way in WAYS
+    ]
     rows = _measured(time_quiet, points, page.out, "quiet", TIMED_ON)
     page.csv("quiet", rows)
     names = ("all frames", "quiet", "single taxels that change")
@@ -279,7 +294,11 @@ def shared_processes(page: Page, quick: bool, seed: int) -> list[str]:
     rows = _measured(processes.measure, points, page.out, "processes")
     page.csv("processes", rows)
     tables = [_processes_table(rows, kind) for kind in processes.PROCESSES]
-    formats = {"reached, Hz": ".0f", "skipped": ".0%", "processor time, us": ".0f"}
+    formats = {
+        "reached, Hz": ".0f",
+        "skipped": ".0%",
+        "processor time, us": ".0f",
+    }
     formats |= {f"{name} / four": ".2f" for name in processes.RATIOS}
     page.section(
         "Nodes that share a process",

@@ -257,7 +257,12 @@ def _draw_panel(axes: Axes, rows: pd.DataFrame, reading: Any, y: str) -> None:
     for sent, (text, style) in zip(reading, styles.items(), strict=True):
         line: dict[str, Any] = {"linestyle": style, "linewidth": 1.2}
         label = f"all taxels sent, {text}"
-        axes.axhline(sent[y], color=_BLACK, label=label, **line)
+        axes.axhline(
+            sent[y],
+            color=_BLACK,
+            label=label,
+            **line,
+        )
         axes.plot(sent["n_bytes"], sent[y], color=_BLACK, marker=MARKERS[-1])
     axes.set_xscale("log")
     # 1, 2, 5 and their tenfolds in plain numbers: half a decade has to show two.

@@ -213,7 +213,11 @@ class _Labels:
         color: str,
         font: Any,
     ) -> Annotation:
-        sides = {-1: "right", 0: "center", 1: "left"}
+        sides = {
+            -1: "right",
+            0: "center",
+            1: "left",
+        }
         style: dict[str, Any] = {
             "color": color,
             "ha": sides[int(np.sign(offset[0]))],
@@ -224,7 +228,11 @@ class _Labels:
         }
         # A thin line leads from a label that is not next to its point.
         if abs(offset[1]) > _NEAR:
-            line = {"arrowstyle": "-", "color": color, "linewidth": 0.6}
+            line = {
+                "arrowstyle": "-",
+                "color": color,
+                "linewidth": 0.6,
+            }
             style["arrowprops"] = line | {"shrinkA": 0, "shrinkB": 3}
         place = (point["median_ms"], point["mean_db"])
         return self._axes.annotate(

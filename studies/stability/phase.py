@@ -132,7 +132,11 @@ def _draw(out: Path, rows: pd.DataFrame, quick: bool) -> str:
     logarithms = [-math.log(ratio) for ratio in ratios]
     x_edges = np.exp(_edges(logarithms))
     y_edges = _edges(QUICK_RHOS if quick else RHOS)
-    style: dict[str, Any] = {"cmap": "RdBu", "vmin": -15.0, "vmax": 15.0}
+    style: dict[str, Any] = {
+        "cmap": "RdBu",
+        "vmin": -15.0,
+        "vmax": 15.0,
+    }
     with Chart(out, "phase_skin", caption, n, n, size_in=size_in, sharey=True) as chart:
         for axes, method in zip(chart.panels, methods, strict=True):
             of_method = rows[rows["method"] == method]
@@ -144,13 +148,28 @@ def _draw(out: Path, rows: pd.DataFrame, quick: bool) -> str:
                 "xlim": (x_edges[0], x_edges[-1]),
                 "ylim": (y_edges[0], y_edges[-1]),
             }
-            axes.set(title=TITLES.get(method, method), xscale="log", **limits)
+            axes.set(
+                title=TITLES.get(method, method),
+                xscale="log",
+                **limits,
+            )
             ticks = (32, 16, 8, 4, 2)
             axes.set_xticks([1 / k for k in ticks], [f"1/{k}" for k in ticks])
             axes.minorticks_off()
             label = "l1 finds nearly all below (Donoho, Tanner)"
-            axes.plot(deltas, threshold, color="black", lw=1.6, label=label)
+            axes.plot(
+                deltas,
+                threshold,
+                color="black",
+                lw=1.6,
+                label=label,
+            )
         chart.label("M/N: measurements per taxel", "K/M: coefficients per measurement")
         label = "dB above reading all taxels"
-        chart.figure.colorbar(cells, ax=chart.panels, label=label, extend="both")
+        chart.figure.colorbar(
+            cells,
+            ax=chart.panels,
+            label=label,
+            extend="both",
+        )
     return chart.markdown

@@ -135,7 +135,11 @@ def swept(experiment: Experiment, out: Path, executor: str) -> pd.DataFrame:
     split = rows["method"].str.split(": ", expand=True)
     split = split.reindex(columns=[0, 1])
     value = rows[key] if key in rows else pd.to_numeric(split[1])
-    rows = rows.assign(sweep=key, solver=split[0], value=value)
+    rows = rows.assign(
+        sweep=key,
+        solver=split[0],
+        value=value,
+    )
     # In dB below 1 N; an error of 0 has no logarithm.
     touched_n = (1e-3 * rows["touched_mn"]).clip(1e-6)
     rows["touched_db"] = -20 * np.log10(touched_n)

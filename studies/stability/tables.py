@@ -32,7 +32,11 @@ QUICK_KINDS = {
     "load": ("even", "disc"),
     "fault": ("stuck blob", "garbage at times", "zeros"),
 }
-ALL_WAYS = {NO_FAULT: 4, OF_TAXELS: 10, OF_MEASUREMENTS: 10}
+ALL_WAYS = {
+    NO_FAULT: 4,
+    OF_TAXELS: 10,
+    OF_MEASUREMENTS: 10,
+}
 """One world of so many goes through all ways, by the group of its fault. Chosen."""
 SILENT_GOAL = 0.02
 """Share of wrong and trusted frames up to which a fault is noticed. Chosen."""
@@ -119,7 +123,9 @@ def shares(rows: pd.DataFrame, by: str) -> pd.DataFrame:
     the estimated errors that are close to the true one.
     """
     kinds = rows.assign(
-        worlds=1, of_silent=rows["silent"] > 0, of_residue=rows["residue"] > RESIDUE
+        worlds=1,
+        of_silent=rows["silent"] > 0,
+        of_residue=rows["residue"] > RESIDUE,
     ).groupby(by, sort=False)
     counts = ["frames", "wrong", "silent", "right", "alarms", "estimated", "close"]
     sums = kinds[["worlds", *counts, "of_silent", "of_residue"]].sum()
@@ -222,7 +228,14 @@ def _draw(out: Path, kinds: pd.DataFrame) -> str:
         "alarms": "right and not trusted, % of frames",
     }
     chart = Chart(
-        out, "faults", caption, 2, 2, size_in=size_in, legend_columns=0, sharey=True
+        out,
+        "faults",
+        caption,
+        2,
+        2,
+        size_in=size_in,
+        legend_columns=0,
+        sharey=True,
     )
     limit = 115 * kinds[list(columns)].max(axis=None)
     with chart:

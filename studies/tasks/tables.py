@@ -71,7 +71,11 @@ def run(
     groups = rows.groupby(["task", "way", "ratio"], sort=False)
     means = groups.mean(numeric_only=True)
     means = means.drop(columns="seed").reset_index()
-    opening = {"value_bytes": VALUE_BYTES, "n_seeds": n_seeds, "searched": SEARCHED}
+    opening = {
+        "value_bytes": VALUE_BYTES,
+        "n_seeds": n_seeds,
+        "searched": SEARCHED,
+    }
     page.section("", draw_chart(out, means), **opening)
     sizes = {
         "side": SIDE,
@@ -225,7 +229,11 @@ def tables(means: pd.DataFrame, task: str) -> list[str]:
         if figure not in rows or rows[figure].isna().all():
             continue
         # A row a way, in the order of `WAYS`, and a column a ratio.
-        by_ratio = rows.pivot(index="way", columns="ratio", values=figure)
+        by_ratio = rows.pivot(
+            index="way",
+            columns="ratio",
+            values=figure,
+        )
         by_ratio = by_ratio.reindex([way for way in WAYS if way in by_ratio.index])
         headings = {1: "N"}
         by_ratio.columns = [headings.get(ratio, f"N/{ratio}") for ratio in by_ratio]
@@ -261,7 +269,11 @@ def draw_chart(out: Path, means: pd.DataFrame) -> str:
     tasks: Sequence[str] = list(means["task"].unique())
     n = len(tasks)
     size_in = (5.4 * n + 1.2, 4.6)
-    layout: dict[str, Any] = {"size_in": size_in, "legend_columns": 3, "sharey": True}
+    layout: dict[str, Any] = {
+        "size_in": size_in,
+        "legend_columns": 3,
+        "sharey": True,
+    }
     with Chart(out, "accuracy_over_bytes", CAPTION, n, n, **layout) as chart:
         for axes, task in zip(chart.panels, tasks, strict=True):
             rows = means[means["task"] == task].sort_values("n_bytes")
@@ -276,8 +288,19 @@ def _draw_task(axes: Axes, rows: pd.DataFrame) -> None:
     full = rows[rows["way"] == ALL].iloc[0]
     star = (full["n_bytes"], full["accuracy"])
     black: dict[str, Any] = {"color": PALETTE[-1], "zorder": 1}
-    axes.axhline(full["accuracy"], linestyle="--", linewidth=1.0, **black)
-    axes.plot(*star, "*", label=ALL, markersize=11, **black)
+    axes.axhline(
+        full["accuracy"],
+        linestyle="--",
+        linewidth=1.0,
+        **black,
+    )
+    axes.plot(
+        *star,
+        "*",
+        label=ALL,
+        markersize=11,
+        **black,
+    )
     for way, place in PLACES_IN_PALETTE.items():
         along = rows[rows["way"] == way]
         style = series_style(place)

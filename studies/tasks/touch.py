@@ -79,7 +79,13 @@ def add(page: Page, quick: bool, seed: int, executor: str) -> list[str]:
     times = compute_rows(time_to_touch, points, page.out, executor, "touch")
     rows = pd.DataFrame(times)
     n_counted = QUICK_COUNTED if quick else N_COUNTED
-    counts = [{"ratio": 3, "n_frames": n_counted, "seed": seed}]
+    counts = [
+        {
+            "ratio": 3,
+            "n_frames": n_counted,
+            "seed": seed,
+        }
+    ]
     counted = compute_rows(false_touches, counts, page.out, executor, "false touches")
     false = pd.DataFrame(counted)
 
@@ -110,7 +116,11 @@ def add(page: Page, quick: bool, seed: int, executor: str) -> list[str]:
 
 def _table(rows: pd.DataFrame, column: str, title: str, digits: str) -> str:
     """A row a way, a column a force; empty where more than half are missed."""
-    by_force = rows.pivot(index="way", columns="force", values=column)
+    by_force = rows.pivot(
+        index="way",
+        columns="force",
+        values=column,
+    )
     by_force = by_force.reindex(WAYS)
     by_force.columns = [f"{force:g} N" for force in by_force]
     by_force.insert(0, title, by_force.index)
@@ -159,7 +169,11 @@ def _draw(out: Path, rows: pd.DataFrame) -> str:
                 along = of_set[of_set["way"] == way].sort_values("force")
                 times = along["median_us"].astype(float)
                 axes.plot(along["force"], times, label=way, **series_style(k))
-            axes.set(xscale="log", yscale="log", title=title)
+            axes.set(
+                xscale="log",
+                yscale="log",
+                title=title,
+            )
             forces = sorted(set(rows["force"]))
             axes.set_xticks(forces, [f"{force:g}" for force in forces])
             axes.minorticks_off()

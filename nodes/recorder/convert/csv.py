@@ -134,7 +134,11 @@ def _contacts(message: Contacts) -> list[dict[str, Any]]:
 
 def _events(message: Contacts) -> list[dict[str, Any]]:
     return [
-        {"stamp_ns": message.stamp_ns, "id": number, "event": event}
+        {
+            "stamp_ns": message.stamp_ns,
+            "id": number,
+            "event": event,
+        }
         for number, event in message.named_events
     ]
 

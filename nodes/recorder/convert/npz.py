@@ -176,7 +176,11 @@ class _Columns:
         """Arrays by their names in the file; a field that no message has gets none."""
         # As the sensor reads them from a file.
         frames_name, stamps_name = array_names(self._schema)
-        short = {"forces": frames_name, "y": frames_name, "stamp_ns": stamps_name}
+        short = {
+            "forces": frames_name,
+            "y": frames_name,
+            "stamp_ns": stamps_name,
+        }
         arrays = {
             name: self._frames(self._files[name]) for name in sorted(self._with_frames)
         }
@@ -230,7 +234,11 @@ class _Contacts:
     def arrays(self) -> dict[str, npt.NDArray[Any]]:
         """Arrays by their names in the file."""
         arrays = {name: np.concatenate(parts) for name, parts in self._columns.items()}
-        dtypes = {"event_stamp_ns": "<i8", "event_id": "<i4", "event": "<U8"}
+        dtypes = {
+            "event_stamp_ns": "<i8",
+            "event_id": "<i4",
+            "event": "<U8",
+        }
         events = np.array(self._events, list(dtypes.items()))
         arrays |= {name: events[name] for name in dtypes}
         return {f"{Contacts.schema}_{name}": values for name, values in arrays.items()}

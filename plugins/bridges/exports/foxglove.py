@@ -183,7 +183,11 @@ def figures_schema(cls: type[Message], more: Iterable[str] = ()) -> dict[str, An
     properties = {name: {"type": "number"} for name in (*figure_names(cls), *more)}
     # All others are numbers.
     properties["trusted"] = {"type": "boolean"}
-    return {"type": "object", "title": "sparseskin.Figures", "properties": properties}
+    return {
+        "type": "object",
+        "title": "sparseskin.Figures",
+        "properties": properties,
+    }
 
 
 def raw_image(message: Message, array: Floats) -> Any:
@@ -297,7 +301,11 @@ def _contact_primitives(shape: Shape, middle: Doubles, colour: Any) -> dict[str,
     )
     sphere = primitives.SpherePrimitive(
         pose=_pose(*centre),
-        size=primitives.Vector3(x=d, y=d, z=d / 4),
+        size=primitives.Vector3(
+            x=d,
+            y=d,
+            z=d / 4,
+        ),
         color=colour,
     )
     text = primitives.TextPrimitive(
@@ -307,7 +315,11 @@ def _contact_primitives(shape: Shape, middle: Doubles, colour: Any) -> dict[str,
         color=colour,
         text=shape.text,
     )
-    return {"arrows": [arrow], "spheres": [sphere], "texts": [text]}
+    return {
+        "arrows": [arrow],
+        "spheres": [sphere],
+        "texts": [text],
+    }
 
 
 def _turn_from_x(direction: Doubles) -> tuple[float, float, float, float]:
@@ -332,7 +344,14 @@ def _pose(x: float, y: float, z: float = 0.0, *turn: float) -> Any:
         z=qz,
         w=qw,
     )
-    return Pose(position=Vector3(x=x, y=y, z=z), orientation=orientation)
+    return Pose(
+        position=Vector3(
+            x=x,
+            y=y,
+            z=z,
+        ),
+        orientation=orientation,
+    )
 
 
 def _fields(names: Iterable[str]) -> list[Any]:
@@ -345,7 +364,13 @@ def _fields(names: Iterable[str]) -> list[Any]:
         kind = types.Uint32 if name == ROW else types.Float32
         # All columns have four bytes, whatever their type is.
         offset = FLOAT32_BYTES * k
-        fields.append(PackedElementField(name=name, offset=offset, type=kind))
+        fields.append(
+            PackedElementField(
+                name=name,
+                offset=offset,
+                type=kind,
+            )
+        )
     return fields
 
 

@@ -226,7 +226,15 @@ def export_lerobot(
     bag; OutputError if the folder exists or cannot be written.
     """
     check_installed("writing for LeRobot", "lerobot", "pyarrow", error=BagError)
-    _check_options({"fps": fps, "window": window, "contacts": contacts}, out, into)
+    _check_options(
+        {
+            "fps": fps,
+            "window": window,
+            "contacts": contacts,
+        },
+        out,
+        into,
+    )
     offsets_ns = _offsets_ns(offset, len(bags))
     rate = fps or FPS
     # Rows are those of the dataset where there is one.
@@ -285,7 +293,11 @@ def _check_shapes(
 
 def _check_options(numbers: dict[str, int | None], out: Path, into: str | None) -> None:
     """Raise BagError or OutputError if an option is out of its range, or contradicts another."""
-    highest = {"fps": MAX_FPS, "window": MAX_WINDOW, "contacts": MAX_CONTACTS}
+    highest = {
+        "fps": MAX_FPS,
+        "window": MAX_WINDOW,
+        "contacts": MAX_CONTACTS,
+    }
     for name, number in numbers.items():
         if number is not None and not 1 <= number <= highest[name]:
             raise BagError(f"--{name}: {number} is outside 1..{highest[name]}")

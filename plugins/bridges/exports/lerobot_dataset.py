@@ -173,7 +173,11 @@ class Dataset:
             return [name for name in names if Path(folder, name) in replaced]
 
         shutil.copytree(
-            self.root, out, ignore=ignored, copy_function=_link, dirs_exist_ok=True
+            self.root,
+            out,
+            ignore=ignored,
+            copy_function=_link,
+            dirs_exist_ok=True,
         )
 
     def _in_ns(self, seconds: npt.NDArray[Any]) -> Times:
@@ -190,7 +194,11 @@ class Dataset:
         existing = self._features.get(key)
         names = feature.names
         if existing is None:
-            return {"dtype": "float32", "shape": [*feature.shape], "names": names}
+            return {
+                "dtype": "float32",
+                "shape": [*feature.shape],
+                "names": names,
+            }
 
         # Datasets that were converted have their names in a dict.
         names_before = existing["names"]
@@ -200,7 +208,11 @@ class Dataset:
         if names and isinstance(names_before, list):
             all_names = [*names_before, *names]
         n = existing["shape"][0] + feature.shape[0]
-        return {"dtype": "float32", "shape": [n], "names": all_names}
+        return {
+            "dtype": "float32",
+            "shape": [n],
+            "names": all_names,
+        }
 
     def _join_rows(self, out: Path, added: Sequence[Mapping[str, Feature]]) -> None:
         import pyarrow as pa
@@ -323,7 +335,11 @@ def make_dataset(root: Path, lengths: Sequence[int], fps: int) -> Dataset:
     features = {}
     pooled = {}
     for name, values in columns.items():
-        features[name] = {"dtype": str(values.dtype), "shape": [1], "names": None}
+        features[name] = {
+            "dtype": str(values.dtype),
+            "shape": [1],
+            "names": None,
+        }
         pooled[name] = _pooled([of_episode[name] for of_episode in stats])
     info = _info_of(lengths, fps, features)
     table = pa.Table.from_pylist(episodes)
@@ -386,7 +402,11 @@ def _write_tasks(path: Path) -> None:
                 **types,
             }
         )
-    about = {"index_columns": ["task"], "column_indexes": [], "columns": columns}
+    about = {
+        "index_columns": ["task"],
+        "column_indexes": [],
+        "columns": columns,
+    }
     # LeRobot looks a task up by its text, which pandas restores as the index.
     text = json.dumps({**about, "pandas_version": "2.0.0"})
     table = pa.table({"task_index": [0], "task": [TASK]})
