@@ -21,7 +21,9 @@ RATIOS = (2, 3, 4, 6, 8, 12)
 
 def main(out: str = "choosing_m.png") -> None:
     truth, taxels = sparseskin.simulate("lift_box_40", 700)
-    truth, taxels = truth[300:], taxels[300:]  # the box lands at frame 320
+    # The box lands at frame 320.
+    truth = truth[300:]
+    taxels = taxels[300:]
     contact = truth.max(axis=(1, 2)) > 0.01
     full = sparseskin.psnr_db(taxels, truth)[contact].mean()
     basis = sparseskin.make_basis("haar", 40, 40)
@@ -39,7 +41,8 @@ def main(out: str = "choosing_m.png") -> None:
         label="all taxels (noisy)",
     )
     for name, label in (("fista", "preset paper"), ("skin", "preset skin")):
-        means, worst = [], []
+        means = []
+        worst = []
         for ratio in RATIOS:
             phi = sparseskin.make_phi(
                 "sbhe",
@@ -60,9 +63,9 @@ def main(out: str = "choosing_m.png") -> None:
         good = [
             ratio for ratio, mean in zip(RATIOS, means, strict=True) if mean >= full
         ]
-        most = f"N/{max(good):g}" if good else "none of these"
+        fewest = f"N/{max(good):g}" if good else "none of these"
         print(
-            f"{label}: fewest measurements with the mean PSNR of all taxels or more: {most}"
+            f"{label}: fewest measurements with the mean PSNR of all taxels or more: {fewest}"
         )
     ax.set(
         xlabel="N / M",

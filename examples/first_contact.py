@@ -33,8 +33,8 @@ def main(out: str = "first_contact.png") -> None:
         estimates[label] = sparseskin.reconstruct(measurements, solver)
 
     touched = truth.max(axis=(1, 2)) > 0.01
-    first = int(np.argmax(touched))
-    print(f"first contact in frame {first}")
+    landing = int(np.argmax(touched))
+    print(f"first contact in frame {landing}")
 
     figure = plt.figure(
         figsize=(11, 7),
@@ -42,11 +42,11 @@ def main(out: str = "first_contact.png") -> None:
         layout="constrained",
     )
     maps, curves = figure.subfigures(2, 1, height_ratios=(1, 1))
-    shown = first + 4
+    number = landing + 4
     panels = {"true forces": truth, **estimates}
     axes = maps.subplots(1, len(panels))
     for ax, (label, frames) in zip(axes, panels.items(), strict=True):
-        image = ax.imshow(frames[shown], vmin=0, vmax=truth[shown].max())
+        image = ax.imshow(frames[number], vmin=0, vmax=truth[number].max())
         ax.set(
             title=label,
             xticks=[],
@@ -58,17 +58,17 @@ def main(out: str = "first_contact.png") -> None:
         label="force in N",
         shrink=0.8,
     )
-    maps.suptitle(f"frame {shown}, {1 + shown - first} ms after the first touch")
+    maps.suptitle(f"frame {number}, {1 + number - landing} ms after the first touch")
 
     ax = curves.subplots()
-    window = slice(first - 10, first + 60)
+    window = slice(landing - 10, landing + 60)
     for label, frames in estimates.items():
         psnr = sparseskin.psnr_db(frames, truth)
         ax.plot(np.arange(len(psnr))[window], psnr[window], label=label)
         print(
             f"{label}: {psnr[touched].mean():.1f} dB mean, {psnr[touched].min():.1f} dB worst"
         )
-    ax.axvline(first, color="0.7")
+    ax.axvline(landing, color="0.7")
     ax.set(xlabel="frame (1 ms each)", ylabel="PSNR in dB")
     ax.legend(
         frameon=False,

@@ -18,7 +18,8 @@ class BlockCosine(Basis):
     """Orthonormal cosine transform of each block of 8 x 8 taxels; sides are multiples of 8."""
 
     def _blocks(self, flat):
-        rows, cols = self.n_rows // SIDE, self.n_cols // SIDE
+        rows = self.n_rows // SIDE
+        cols = self.n_cols // SIDE
         return flat.reshape(rows, SIDE, cols, SIDE)
 
     def _analysis(self, image, out):

@@ -19,7 +19,8 @@ class ProjectedGradient(Solver):
         self, phi, basis, mask=None, *, iterations: int = 30, shrinkage: float = 0.0
     ) -> None:
         super().__init__(phi, basis, mask)
-        self.n_steps, self._shrinkage = iterations, shrinkage
+        self.n_steps = iterations
+        self._shrinkage = shrinkage
         self.reset()
 
     def reset(self) -> None:

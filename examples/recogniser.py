@@ -79,9 +79,10 @@ def main() -> None:
             pressed = [
                 f for f in sparseskin.run_launch(str(graph)) if f.taxels.max() > 0.2
             ]
-            seen = Counter(frame.label.label or "nothing" for frame in pressed)
+            counts = Counter(frame.label.label or "nothing" for frame in pressed)
             print(
-                f"{body}:", ", ".join(f"{label} {n}" for label, n in seen.most_common())
+                f"{body}:",
+                ", ".join(f"{label} {n}" for label, n in counts.most_common()),
             )
 
 

@@ -19,15 +19,16 @@ plt.switch_backend("Agg")
 
 def main(out: str = "your_own_skin.png", path: str = "example:fingers") -> None:
     recording = sparseskin.read_recording(path)
-    taxels, unit = recording["forces"], recording["unit"]
+    taxels = recording["forces"]
+    unit = recording["unit"]
     n_rows, n_cols = taxels.shape[1:]
     # True where a taxel exists
     mask = recording.get("mask", np.ones((n_rows, n_cols), bool))
     n = int(mask.sum())
 
     loaded = taxels.max(axis=(1, 2)) > 0.1 * recording["f_max"]
-    shown = int(taxels.sum(axis=(1, 2)).argmax())
-    panels = {"readings": taxels[shown]}
+    strongest = int(taxels.sum(axis=(1, 2)).argmax())
+    panels = {"readings": taxels[strongest]}
     for ratio in (2, 4, 8):
         phi = sparseskin.make_phi(
             "sbhe",
@@ -41,7 +42,7 @@ def main(out: str = "your_own_skin.png", path: str = "example:fingers") -> None:
         forces = sparseskin.reconstruct(measurements, solver)
         norms = np.linalg.norm((forces - taxels)[loaded], axis=(1, 2))
         error = np.median(norms / np.linalg.norm(taxels[loaded], axis=(1, 2)))
-        panels[f"N/{ratio}: error {error:.1%}"] = forces[shown]
+        panels[f"N/{ratio}: error {error:.1%}"] = forces[strongest]
         print(
             f"N/{ratio}: median relative error {error:.1%} over {loaded.sum()} loaded frames"
         )
@@ -54,7 +55,7 @@ def main(out: str = "your_own_skin.png", path: str = "example:fingers") -> None:
         layout="constrained",
     )
     for ax, (label, frame) in zip(axes, panels.items(), strict=True):
-        image = ax.imshow(frame, vmin=0, vmax=taxels[shown].max())
+        image = ax.imshow(frame, vmin=0, vmax=taxels[strongest].max())
         ax.set(
             title=label,
             xticks=[],

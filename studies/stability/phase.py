@@ -52,10 +52,17 @@ def weak_threshold(delta: float) -> float:
     return -float(lowest.fun)
 
 
+def _ratios(quick: bool) -> Sequence[float]:
+    return QUICK_RATIOS if quick else RATIOS
+
+
+def _rhos(quick: bool) -> Sequence[float]:
+    return QUICK_RHOS if quick else RHOS
+
+
 def coefficients(ratio: float, quick: bool) -> dict[float, int]:
     """Numbers of coefficients of the pads at a ratio, by K/M."""
-    rhos = QUICK_RHOS if quick else RHOS
-    return {rho: round(rho * SIDE**2 / ratio) for rho in rhos}
+    return {rho: round(rho * SIDE**2 / ratio) for rho in _rhos(quick)}
 
 
 def experiments(quick: bool, seed: int) -> Iterator[Experiment]:
@@ -63,7 +70,7 @@ def experiments(quick: bool, seed: int) -> Iterator[Experiment]:
     candidates = {label: Candidate(own(name)) for label, name in SUM_SOLVERS.items()}
     candidates |= LARGER | READINGS
     seeds = range(seed, seed + (1 if quick else 3))
-    for ratio in QUICK_RATIOS if quick else RATIOS:
+    for ratio in _ratios(quick):
         frames = []
         for k in coefficients(ratio, quick).values():
             if k >= LEAST_K:
@@ -104,8 +111,8 @@ def _edges(centres: Sequence[float]) -> list[float]:
 def _gains(rows: pd.DataFrame, quick: bool) -> Floats:
     """Gain by K/M and M/N, both ascending, dB: NaN where there is no pad."""
     gain_db = rows.set_index(["n_coefficients", "ratio"])["gain_db"]
-    rhos = QUICK_RHOS if quick else RHOS
-    ratios = QUICK_RATIOS if quick else RATIOS
+    rhos = _rhos(quick)
+    ratios = _ratios(quick)
     gains = np.full((len(rhos), len(ratios)), np.nan, dtype=np.float32)
     for column, ratio in enumerate(ratios):
         counts = coefficients(ratio, quick)
@@ -128,10 +135,9 @@ def _draw(out: Path, rows: pd.DataFrame, quick: bool) -> str:
     deltas = np.linspace(0.02, 0.85, 80)
     threshold = [weak_threshold(delta) for delta in deltas]
     # Columns are as wide as the logarithm of M/N has them.
-    ratios = QUICK_RATIOS if quick else RATIOS
-    logarithms = [-math.log(ratio) for ratio in ratios]
+    logarithms = [-math.log(ratio) for ratio in _ratios(quick)]
     x_edges = np.exp(_edges(logarithms))
-    y_edges = _edges(QUICK_RHOS if quick else RHOS)
+    y_edges = _edges(_rhos(quick))
     style: dict[str, Any] = {
         "cmap": "RdBu",
         "vmin": -15.0,

@@ -25,12 +25,14 @@ from sparseskin.nodes.sensor.files.survey import Needs
 from sparseskin.nodes.sensor.layout.layout import EMPTY, KEEP, Layout
 from sparseskin.nodes.sensor.source import DEFAULT_RATE_HZ
 
+PATCH = "skin"
+"""Patch of the frames of a file, as of a sensor unless stated otherwise."""
+
 
 def import_file(
     source: Path,
     out: Path,
     *,
-    patch: str = "skin",
     layout: Layout = EMPTY,
     keep: Sequence[str] = (),
     tare: int | None = None,
@@ -39,12 +41,12 @@ def import_file(
 ) -> int:
     """Write a recording, in any format that the sensor reads, as a bag.
 
-    The bag holds what a sensor would have published from the file: /PATCH/skin, then
-    /PATCH/taxels, with stamps from 0; and /PATCH/calibration where readings are made forces. The
+    The bag holds what a sensor would have published from the file: /skin/skin, then
+    /skin/taxels, with stamps from 0; and /skin/calibration where readings are made forces. The
     run id is a hash of the frames, so the same file gives the same bag.
 
     `layout` is what the file does not state; `keep` are further channels, as x and y, each of
-    which becomes a patch of its own, PATCH_x, with its sign; `tare` and `invert` are settings of
+    which becomes a patch of its own, skin_x, with its sign; `tare` and `invert` are settings of
     the sensor: frames of the tare are left out. Frames that are not to be trusted for rest, sign
     or range have the reason. `log` is called with lines on how the file was read, on what was
     assumed, on readings that were not valid, and on rest and sign. Returns the number of frames.
@@ -52,10 +54,10 @@ def import_file(
     Raises SourceError if the recording is missing or malformed or a setting contradicts it,
     BagError if the bag exists or cannot be written.
     """
-    main = _Imported(source, patch, layout, _Zeroing(tare, invert), log)
+    main = _Imported(source, PATCH, layout, _Zeroing(tare, invert), log)
     patches = [main]
     for channel in keep:
-        name = f"{patch}_{channel}"
+        name = f"{PATCH}_{channel}"
         of_channel = layout.stating({"channel": channel, "negative": KEEP})
         patches.append(_Imported(source, name, of_channel, _Zeroing(0), log))
     metadata = metadata_of(launch="", graph="") | {"imported_from": source.name}
