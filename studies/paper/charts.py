@@ -64,8 +64,11 @@ def draw_sequences(out: Path, results: Results, by: str) -> str:
     series["noisy"] = results.ours(scene, 1)
     contact = results.contact(scene)
     begin_of_scene = results.scenes[scene]["first"]
-    begin = max(0, int(np.argmax(contact)) - 50)
-    begins = {"representative": _longest_contact(contact), "first contact": begin}
+    landing = max(0, int(np.argmax(contact)) - 50)
+    begins = {
+        "representative": _longest_contact(contact),
+        "first contact": landing,
+    }
     caption = f"PSNR over time, {PAPER[scene].title} 64 x 64, preset paper"
     name = f"psnr_by_{by.lower()}"
     with Chart(out, name, caption, 2, 2, size_in=(9.0, 4.2)) as chart:
@@ -74,7 +77,8 @@ def draw_sequences(out: Path, results: Results, by: str) -> str:
             frames = np.arange(part.start, part.stop) + begin_of_scene
             times_ms = frames * scene_of(scene).dt_ns * 1e-6
             for k, (label, values) in enumerate(series.items()):
-                k = -1 if label == "noisy" else k
+                if label == "noisy":
+                    k = -1
                 # Few marks, not at the same times: those of one line do not hide another's.
                 style: Style = {
                     "color": PALETTE[k],
@@ -99,7 +103,9 @@ def draw_sequences(out: Path, results: Results, by: str) -> str:
 
 def _longest_contact(contact: npt.NDArray[np.bool_]) -> int:
     """First of the middle frames of the longest contact: forces change slowly there."""
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], contact, [False]])))
+    # A contact begins and ends where the mark changes.
+    padded = np.pad(contact, 1)
+    edges = np.flatnonzero(np.diff(padded))
     begins = edges[::2]
     ends = edges[1::2]
     longest = int(np.argmax(ends - begins))

@@ -41,7 +41,7 @@ Profile: TypeAlias = Callable[[np.random.Generator, Place], Doubles]
 
 def _even(rng: np.random.Generator, place: Place) -> Doubles:
     coverage = rng.uniform(0.7, 1.0)
-    is_covered = rng.random(place.down.shape) < coverage
+    is_covered: Mask = rng.random(place.down.shape) < coverage
     return is_covered.astype(np.float64)
 
 
@@ -63,7 +63,8 @@ def _checkered(rng: np.random.Generator, place: Place) -> Doubles:
     cells = np.floor(place.down / side) + np.floor(place.across / side)
     is_black = cells % 2 == 0
     is_inside = place.distance < max(2.0, place.radius)
-    return (is_black & is_inside).astype(np.float64)
+    is_pressed: Mask = is_black & is_inside
+    return is_pressed.astype(np.float64)
 
 
 def _bumps(rng: np.random.Generator, place: Place, count: int, width: float) -> Doubles:
@@ -106,7 +107,8 @@ def _box(rng: np.random.Generator, place: Place) -> Doubles:
     height, width = place.radius * rng.uniform(0.3, 1.0, 2)
     is_in_rows = np.abs(place.down) <= max(1.0, height)
     is_in_cols = np.abs(place.across) <= max(1.0, width)
-    return (is_in_rows & is_in_cols).astype(np.float64)
+    is_pressed: Mask = is_in_rows & is_in_cols
+    return is_pressed.astype(np.float64)
 
 
 def _ring(rng: np.random.Generator, place: Place) -> Doubles:
@@ -120,7 +122,8 @@ def _edge(rng: np.random.Generator, place: Place) -> Doubles:
     angle = rng.uniform(0, math.pi)
     is_on_line = np.abs(place.along(angle)) < rng.uniform(0.6, 1.5)
     is_near = place.distance < max(3.0, 2 * place.radius)
-    return (is_on_line & is_near).astype(np.float64)
+    is_pressed: Mask = is_on_line & is_near
+    return is_pressed.astype(np.float64)
 
 
 def _taxel(rng: np.random.Generator, place: Place) -> Doubles:
