@@ -57,6 +57,7 @@ def import_file(
     main = _Imported(source, PATCH, layout, _Zeroing(tare, invert), log)
     patches = [main]
     for channel in keep:
+        # x and y are forces of both signs, which a range from 0 on would cut.
         name = f"{PATCH}_{channel}"
         of_channel = layout.stating({"channel": channel, "negative": KEEP})
         patches.append(_Imported(source, name, of_channel, _Zeroing(0), log))
@@ -68,6 +69,7 @@ def import_file(
         merged = heapq.merge(*streams, key=lambda timed: timed[0])
         for stamp_ns, message, number in progress(merged, total, "import"):
             bag.record(message.published(main.frames.digest, number), stamp_ns)
+        # A bag without a frame is no recording: nothing can be played.
         if main.n_frames == 0:
             raise BagError(f"{str(source)!r}: all frames are of the tare")
     return main.n_frames
@@ -91,6 +93,7 @@ class _Imported:
         zeroing: _Zeroing,
         log: Callable[[str], None],
     ) -> None:
+        # Then readings are not forces yet, and may have any range.
         raw = bool(zeroing.tare or zeroing.invert)
         self.frames = open_file(source, layout, raw, Needs(digest=True))
         self.n_frames = 0
@@ -98,6 +101,7 @@ class _Imported:
         self._patch = patch
         self._log = log
         self._forces_of = _Forces(self.frames, zeroing.tare, zeroing.invert, log)
+        # What was found as the file was opened stands before all else.
         for line in self.frames.take_lines():
             log(line)
 
@@ -121,6 +125,7 @@ class _Imported:
             )
             yield stamp_ns, taxels, self.n_frames
             self.n_frames += 1
+        # Once all frames are known: the counts in it are those of the whole file.
         if self._forces_of.line:
             self._log(self._forces_of.line)
 
@@ -162,6 +167,7 @@ class _Forces:
         self._chain: Chain | None = None
         if tare or invert:
             self._chain = Chain(described, drift_rate, tare or 0, log)
+        # Who states one of them, a tare of 0 too, has looked at the readings.
         has_level = tare is None and not invert
         clipped = (self._chain or source).clipped
         self._doubt = Doubt(
@@ -206,6 +212,7 @@ def recover_bag(bag: BagReader, out: Path) -> int:
     messages. Raises BagError if the new bag exists or cannot be written.
     """
     metadata = dict(bag.metadata)
+    # A bag that is whole is copied as it is.
     if bag.recovered:
         metadata["recovered"] = bag.recovered
     total = sum(info.n_messages for info in bag.topics.values())
