@@ -316,8 +316,12 @@ class RecordedFrames:
 
 
 _KINDS = (
-    *(SceneFrames, PressFrames, MeetingFrames),
-    *(UntouchedFrames, PadFrames, RecordedFrames),
+    SceneFrames,
+    PressFrames,
+    MeetingFrames,
+    UntouchedFrames,
+    PadFrames,
+    RecordedFrames,
 )
 KINDS = {kind.__name__: kind for kind in _KINDS}
 """Sources by the names with which points state them."""

@@ -244,7 +244,11 @@ def _draw(out: Path, rows: pd.DataFrame) -> str:
     caption = f"{quantity}: the further left, the larger."
     size_in = (9.5, 3.2 * -(-len(scenes) // 3) + 1.1)
     chart = Chart(
-        *(out, "scene-needs", caption, len(scenes), 3),
+        out,
+        "scene-needs",
+        caption,
+        len(scenes),
+        3,
         size_in=size_in,
         legend_columns=5,
     )

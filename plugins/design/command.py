@@ -16,8 +16,15 @@ from .spec import KEYS, SIZE_KEYS, Design, make_design, read_file
 from .strategies import FEW_SCENES, N_SCENES, STRATEGIES
 
 RARE_KEYS = (
-    *("points", "taxels", "pitch", "converters", "settling"),
-    *("sums", "bits", "edge", "host"),
+    "points",
+    "taxels",
+    "pitch",
+    "converters",
+    "settling",
+    "sums",
+    "bits",
+    "edge",
+    "host",
 )
 """Keys whose options most users leave out."""
 

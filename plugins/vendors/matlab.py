@@ -34,38 +34,30 @@ _INT8 = 1
 _INT32 = 5
 _UINT32 = 6
 _STORED = {
-    **{
-        1: "i1",
-        2: "u1",
-        3: "i2",
-        4: "u2",
-        5: "i4",
-        6: "u4",
-    },
-    **{
-        7: "f4",
-        9: "f8",
-        12: "i8",
-        13: "u8",
-    },
+    1: "i1",
+    2: "u1",
+    3: "i2",
+    4: "u2",
+    5: "i4",
+    6: "u4",
+    7: "f4",
+    9: "f8",
+    12: "i8",
+    13: "u8",
 }
 """Types of the numbers as they stand in the file; whole float64 numbers stand there as integers."""
 _STRUCT = 2
 _CLASSES = {
-    **{
-        6: "f8",
-        7: "f4",
-        8: "i1",
-        9: "u1",
-        10: "i2",
-        11: "u2",
-    },
-    **{
-        12: "i4",
-        13: "u4",
-        14: "i8",
-        15: "u8",
-    },
+    6: "f8",
+    7: "f4",
+    8: "i1",
+    9: "u1",
+    10: "i2",
+    11: "u2",
+    12: "i4",
+    13: "u4",
+    14: "i8",
+    15: "u8",
 }
 """Classes of arrays of numbers in MATLAB."""
 _COMPLEX = 0x0800

@@ -138,12 +138,21 @@ QUICK_RECORDED = 60
 PSNR = ("mean_db", "min_db", "first_db", "touched_mn", "n_contact")
 ERRORS = ("median", "mean", "vanished", "n_bytes", "n_contact")
 MARKS = (
-    *("flagged", "flagged_wrong", "n_wrong", "flagged_right", "n_right"),
-    *("flagged_poor", "n_flagged"),
+    "flagged",
+    "flagged_wrong",
+    "n_wrong",
+    "flagged_right",
+    "n_right",
+    "flagged_poor",
+    "n_flagged",
 )
 ESTIMATES = (
-    *("estimate_low", "estimate_median", "estimate_high", "estimate_close"),
-    *("held", "held_by_true"),
+    "estimate_low",
+    "estimate_median",
+    "estimate_high",
+    "estimate_close",
+    "held",
+    "held_by_true",
 )
 
 

@@ -553,11 +553,9 @@ def facts(rows: pd.DataFrame, n_most: int) -> pd.DataFrame:
         stop = part.first + len(part.frames)
         lines.append(
             {
-                **{
-                    "recording": name,
-                    "N": x.shape[1],
-                    "unit": part.unit,
-                },
+                "recording": name,
+                "N": x.shape[1],
+                "unit": part.unit,
                 "grid": "{} x {}".format(*part.mask.shape),
                 "frames": f"{part.first}..{stop - 1} of {part.n_recorded}",
                 "loaded": int(of_part["n_contact"].max() or 0),

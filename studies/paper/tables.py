@@ -262,7 +262,9 @@ def write(
         ),
         (
             "Table III once more: lambda = 0.009 N and few levels",
-            *("table_3_fitted", table_3(results, FITTED), ()),
+            "table_3_fitted",
+            table_3(results, FITTED),
+            (),
         ),
         ("Untouched skin", "untouched", lambda_rows(lambdas, highest), ()),
     ):

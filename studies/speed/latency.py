@@ -28,8 +28,14 @@ Times = npt.NDArray[np.int64]
 RATE_HZ = 1000
 SCENES = {"40 x 40": "path_40", "64 x 64": "drag_wrench_64"}
 STAGES = (
-    *("sensor", "wire to the edge", "queue at the edge", "edge"),
-    *("wire to the host", "queue at the host", "host", "solve"),
+    "sensor",
+    "wire to the edge",
+    "queue at the edge",
+    "edge",
+    "wire to the host",
+    "queue at the host",
+    "host",
+    "solve",
 )
 WARM_UP = 500
 """First frames of the sensor, left out: new processes start with cold caches and memory."""
