@@ -45,7 +45,6 @@ def configure_play(parser: argparse.ArgumentParser) -> None:
         "Publish what was recorded, as it was recorded. Keys: space pauses, right plays one frame, "
         "up and down change the rate, q ends."
     )
-    rarely_used = rare(parser)
     parser.add_argument("file", metavar="F.mcap", help="recording")
     about = "times the recorded speed; 0: as fast as it is read"
     parser.add_argument(
@@ -74,28 +73,33 @@ def configure_play(parser: argparse.ArgumentParser) -> None:
         help="seconds to play",
         **seconds,
     )
-    rarely_used.add_argument(
+    _add_rare_options(rare(parser))
+    add_page(parser, "open a live page that shows it, again and again")
+    parser.set_defaults(run=_play)
+
+
+def _add_rare_options(group: Any) -> None:
+    """What most users leave out, listed apart."""
+    group.add_argument(
         "--topics",
         nargs="+",
         metavar="T",
         help="topics to play",
     )
     about = "send no frame before all readers have handled the last"
-    rarely_used.add_argument(
+    group.add_argument(
         "--lockstep",
         action="store_true",
         default=None,
         help=about,
     )
-    rarely_used.add_argument(
+    group.add_argument(
         "--wait",
         type=whole(0),
         metavar="K",
         help="wait for K readers first",
     )
-    rarely_used.add_argument("--pause", action="store_true", help="start paused")
-    add_page(parser, "open a live page that shows it, again and again")
-    parser.set_defaults(run=_play)
+    group.add_argument("--pause", action="store_true", help="start paused")
 
 
 def _play(arguments: argparse.Namespace) -> int:

@@ -11,6 +11,7 @@ from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from importlib.util import find_spec
 from pathlib import Path
+from typing import Any
 from threading import Thread
 
 import numpy as np
@@ -62,7 +63,38 @@ def run(out: Path, quick: bool, seed: int, executor: str) -> list[str]:
     """
     n_rounds = QUICK_ROUNDS if quick else N_ROUNDS
     n_messages = QUICK_MESSAGES if quick else N_MESSAGES
-    rows = []
+    rows, absent = _measured(n_rounds, n_messages)
+    table = summary(pd.DataFrame(rows))
+    page = Page(out, "control-loop", Path(__file__).with_suffix(".md"), quick)
+    cores = len(os.sched_getaffinity(0))
+    forms = {
+        "p50, ms": ".2f",
+        "p99, ms": ".2f",
+        "p50 to echo": ".3f",
+    }
+    page.section(
+        "",
+        markdown(table, forms),
+        rate_hz=RATE_HZ,
+        n_rounds=n_rounds,
+        n_messages=n_messages,
+        cores=cores,
+        n_warm_up=N_WARM_UP,
+        absent="; ".join(absent) or "none",
+    )
+    page.csv("ages", rows)
+    lines = []
+    for row in table.to_dict("records"):
+        p50 = f"p50 {row['p50, ms']:.2f} ms"
+        p99 = f"p99 {row['p99, ms']:.2f} ms"
+        lines.append(f"{row['way']}: {p50}, {p99}.")
+    page.write(lines)
+    return lines
+
+
+def _measured(n_rounds: int, n_messages: int) -> tuple[list[dict[str, Any]], list[str]]:
+    """A row for each age, and the ways that are absent on this host."""
+    rows: list[dict[str, Any]] = []
     with ExitStack() as stack:
         # Programs, logs and the runtime folder go with it.
         temporary = tempfile.TemporaryDirectory(prefix="sparseskin-loop-")
@@ -84,34 +116,7 @@ def run(out: Path, quick: bool, seed: int, executor: str) -> list[str]:
                             "age_ms": age_ms,
                         }
                     )
-
-    table = summary(pd.DataFrame(rows))
-    page = Page(out, "control-loop", Path(__file__).with_suffix(".md"), quick)
-    cores = len(os.sched_getaffinity(0))
-    page.section(
-        "",
-        markdown(
-            table,
-            {
-                "p50, ms": ".2f",
-                "p99, ms": ".2f",
-                "p50 to echo": ".3f",
-            },
-        ),
-        rate_hz=RATE_HZ,
-        n_rounds=n_rounds,
-        n_messages=n_messages,
-        cores=cores,
-        n_warm_up=N_WARM_UP,
-        absent="; ".join(absent) or "none",
-    )
-    page.csv("ages", rows)
-    lines = [
-        f"{row['way']}: p50 {row['p50, ms']:.2f} ms, p99 {row['p99, ms']:.2f} ms."
-        for row in table.to_dict("records")
-    ]
-    page.write(lines)
-    return lines
+    return rows, absent
 
 
 @contextmanager

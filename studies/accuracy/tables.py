@@ -269,8 +269,8 @@ def single(page: Page, runs: Runs) -> str:
     times = best.groupby("method", sort=False)["mean_ms"].median()
     ours = best[best["method"] == SKIN].set_index(["of", "ratio"])["median"]
     parts = []
-    others = best[best["method"] != SKIN]
-    for method, of_other in others.groupby("method", sort=False):
+    beside_ours = best[best["method"] != SKIN]
+    for method, of_other in beside_ours.groupby("method", sort=False):
         medians = of_other.set_index(["of", "ratio"])["median"]
         ahead = int((ours <= medians).sum())
         ms = f"{times[method]:.2g} ms"

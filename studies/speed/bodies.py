@@ -30,17 +30,9 @@ def time_body(point: dict[str, Any]) -> dict[str, Any]:
     frames not solved.
     """
     patches = point["patches"]
-    side = point["side"]
     n_frames = point["n_frames"]
     common = {"patch": "body", "patches": [f"p{k}" for k in range(patches)]}
-    source = {
-        "source": "scene:lying",
-        "active": 1.0 - point["idle"],
-        "seed": point["seed"],
-        "simulated": {"n_rows": side, "n_cols": side},
-        "rate_hz": 100.0,
-    }
-    sensor = made_node("sensor", common | source)
+    sensor = made_node("sensor", common | _source(point))
     edge = made_node("compressor", common)
     list(sensor.start())
     # The next frame is of the time when all have landed, then come frames each 1 ms.
@@ -79,6 +71,18 @@ def time_body(point: dict[str, Any]) -> dict[str, Any]:
         "bytes": float(n_bytes),
         "memory_mb": added_bytes / patches / 1e6,
         "unchanged": n_unchanged / patches / n_frames,
+    }
+
+
+def _source(point: dict[str, Any]) -> dict[str, Any]:
+    """Settings of a sensor with a body that lies on its skin."""
+    side = point["side"]
+    return {
+        "source": "scene:lying",
+        "active": 1.0 - point["idle"],
+        "seed": point["seed"],
+        "simulated": {"n_rows": side, "n_cols": side},
+        "rate_hz": 100.0,
     }
 
 

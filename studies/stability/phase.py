@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
+from matplotlib.axes import Axes
 from scipy.optimize import minimize_scalar
 from scipy.special import ndtr
 
@@ -134,34 +135,11 @@ def _draw(out: Path, rows: pd.DataFrame, quick: bool) -> str:
     size_in = (2.4 * n + 1.0, 3.2)
     deltas = np.linspace(0.02, 0.85, 80)
     threshold = [weak_threshold(delta) for delta in deltas]
-    # Columns are as wide as the logarithm of M/N has them.
-    logarithms = [-math.log(ratio) for ratio in _ratios(quick)]
-    x_edges = np.exp(_edges(logarithms))
-    y_edges = _edges(_rhos(quick))
-    style: dict[str, Any] = {
-        "cmap": "RdBu",
-        "vmin": -15.0,
-        "vmax": 15.0,
-    }
     with Chart(out, "phase_skin", caption, n, n, size_in=size_in, sharey=True) as chart:
         for axes, method in zip(chart.panels, methods, strict=True):
             of_method = rows[rows["method"] == method]
-            gains = np.ma.masked_invalid(_gains(of_method, quick))
-            axes.set_facecolor("0.85")
-            axes.grid(False)
-            cells = axes.pcolormesh(x_edges, y_edges, gains, **style)
-            limits = {
-                "xlim": (x_edges[0], x_edges[-1]),
-                "ylim": (y_edges[0], y_edges[-1]),
-            }
-            axes.set(
-                title=TITLES.get(method, method),
-                xscale="log",
-                **limits,
-            )
-            ticks = (32, 16, 8, 4, 2)
-            axes.set_xticks([1 / k for k in ticks], [f"1/{k}" for k in ticks])
-            axes.minorticks_off()
+            cells = _draw_gains(axes, _gains(of_method, quick), quick)
+            axes.set_title(TITLES.get(method, method))
             label = "l1 finds nearly all below (Donoho, Tanner)"
             axes.plot(
                 deltas,
@@ -179,3 +157,30 @@ def _draw(out: Path, rows: pd.DataFrame, quick: bool) -> str:
             extend="both",
         )
     return chart.markdown
+
+
+def _draw_gains(axes: Axes, gains: Floats, quick: bool) -> Any:
+    """Draw one map; return its cells, for a scale of their colours."""
+    # Columns are as wide as the logarithm of M/N has them.
+    logarithms = [-math.log(ratio) for ratio in _ratios(quick)]
+    x_edges = np.exp(_edges(logarithms))
+    y_edges = _edges(_rhos(quick))
+    style: dict[str, Any] = {
+        "cmap": "RdBu",
+        "vmin": -15.0,
+        "vmax": 15.0,
+    }
+    axes.set_facecolor("0.85")
+    axes.grid(False)
+    # What was not computed lets the grey through.
+    known_gains = np.ma.masked_invalid(gains)
+    cells = axes.pcolormesh(x_edges, y_edges, known_gains, **style)
+    axes.set(
+        xscale="log",
+        xlim=(x_edges[0], x_edges[-1]),
+        ylim=(y_edges[0], y_edges[-1]),
+    )
+    ticks = (32, 16, 8, 4, 2)
+    axes.set_xticks([1 / k for k in ticks], [f"1/{k}" for k in ticks])
+    axes.minorticks_off()
+    return cells

@@ -94,8 +94,9 @@ def points(
             world = kind | {"seed": first_seed + k}
             worlds.append(world | {"through": "Stream"})
             if k % n_apart == 0:
-                others = [way for way in WAYS if way != "Stream"]
-                worlds += [world | {"through": way} for way in others]
+                for way in WAYS:
+                    if way != "Stream":
+                        worlds.append(world | {"through": way})
     return worlds
 
 

@@ -226,33 +226,21 @@ def export_lerobot(
     bag; OutputError if the folder exists or cannot be written.
     """
     check_installed("writing for LeRobot", "lerobot", "pyarrow", error=BagError)
-    _check_options(
-        {
-            "fps": fps,
-            "window": window,
-            "contacts": contacts,
-        },
-        out,
-        into,
-    )
+    numbers = {"fps": fps, "window": window, "contacts": contacts}
+    _check_options(numbers, out, into)
     offsets_ns = _offsets_ns(offset, len(bags))
     rate = fps or FPS
     # Rows are those of the dataset where there is one.
     existing = None
     if into is not None:
-        existing = Dataset(Path(into))
+        existing = _dataset_of(into, len(bags))
         rate = existing.fps
-        n = len(existing.times_ns)
-        if n != len(bags):
-            raise BagError(
-                f"{into}: has {n} episodes; state as many recordings, not {len(bags)}"
-            )
 
     with whole_folder(out):
         with tempfile.TemporaryDirectory(dir=out, prefix=".frames") as name:
             folder = Path(name)
             # All episodes have the window of the first one: shapes of features must agree.
-            sizes = dict[str, int]()
+            sizes: dict[str, int] = {}
             episodes = []
             for bag, offset_ns in zip(bags, offsets_ns, strict=True):
                 maps = []
@@ -277,6 +265,17 @@ def export_lerobot(
                 _check_shapes(added, episode.path, bags[0].path)
             dataset.join(out, added, _readme(episodes))
         return sorted(path for path in out.rglob("*") if path.is_file())
+
+
+def _dataset_of(into: str, n_episodes: int) -> Dataset:
+    """The dataset in a folder. Raises BagError if it has another number of episodes."""
+    dataset = Dataset(Path(into))
+    n = len(dataset.times_ns)
+    if n != n_episodes:
+        raise BagError(
+            f"{into}: has {n} episodes; state as many recordings, not {n_episodes}"
+        )
+    return dataset
 
 
 def _check_shapes(

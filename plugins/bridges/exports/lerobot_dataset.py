@@ -115,7 +115,9 @@ class Dataset:
             self._data = sorted(root.glob("data/*/*.parquet"))
             # Only these columns are read: images would fill the memory.
             names = ["episode_index", "timestamp"]
-            tables = [pq.read_table(path, columns=names) for path in self._data]
+            tables = []
+            for path in self._data:
+                tables.append(pq.read_table(path, columns=names))
             table = pa.concat_tables(tables)
             episodes = table["episode_index"].to_numpy()
             seconds = table["timestamp"].to_numpy()
@@ -125,8 +127,10 @@ class Dataset:
                 raise ValueError(f"rows of {len(indices)} episodes, {fault}")
 
             # Rows may stand in any file; those of one episode are in order.
-            times_ns = self._in_ns(seconds[np.argsort(episodes, kind="stable")])
-            self.times_ns = np.split(times_ns, np.cumsum(counts)[:-1])
+            order = np.argsort(episodes, kind="stable")
+            times_ns = self._in_ns(seconds[order])
+            begins = np.cumsum(counts)[:-1]
+            self.times_ns = np.split(times_ns, begins)
 
     def join(
         self, out: Path, added: Sequence[Mapping[str, Feature]], about: str
@@ -145,13 +149,15 @@ class Dataset:
             self._link_files(out)
             stats_of_episodes = []
             for features, times_ns in zip(added, self.times_ns, strict=True):
-                stats_of_episodes.append(
-                    {key: feature.stats(times_ns) for key, feature in features.items()}
-                )
+                stats = {}
+                for key, feature in features.items():
+                    stats[key] = feature.stats(times_ns)
+                stats_of_episodes.append(stats)
             self._join_rows(out, added)
             self._join_episodes(out, stats_of_episodes)
             for key, feature in added[0].items():
-                pooled = _pooled([stats[key] for stats in stats_of_episodes])
+                of_feature = [of_episode[key] for of_episode in stats_of_episodes]
+                pooled = _pooled(of_feature)
                 self._stats[key] = _appended(self._stats.get(key), pooled)
                 self._features[key] = self._with(key, feature)
             readme = self.root / README
@@ -186,8 +192,9 @@ class Dataset:
         # A float32 of some minutes is exact to some 30 us: rounding would shift frames.
         row = np.rint(wide * self.fps)
         regular = np.abs(wide - row / self.fps) < TOLERANCE_S
-        exact = row.astype(np.int64) * 1_000_000_000 // self.fps
-        return np.where(regular, exact, np.rint(wide * 1e9)).astype(np.int64)
+        exact_ns = row.astype(np.int64) * 1_000_000_000 // self.fps
+        stated_ns = np.rint(wide * 1e9)
+        return np.where(regular, exact_ns, stated_ns).astype(np.int64)
 
     def _with(self, key: str, feature: Feature) -> dict[str, Any]:
         """A feature as info.json states it, appended to that of the dataset."""
@@ -246,10 +253,14 @@ class Dataset:
         numbers = table["episode_index"].to_numpy()
         times_ns = self._in_ns(table["timestamp"].to_numpy())
         # Rows of one episode after each other.
-        borders = [0, *(np.flatnonzero(np.diff(numbers)) + 1), len(numbers)]
+        begins = np.flatnonzero(np.diff(numbers)) + 1
+        borders = [0, *begins, len(numbers)]
         runs = [slice(*ends) for ends in itertools.pairwise(borders)]
         for key in added[0]:
-            parts = [added[numbers[run.start]][key].rows(times_ns[run]) for run in runs]
+            parts = []
+            for run in runs:
+                feature = added[numbers[run.start]][key]
+                parts.append(feature.rows(times_ns[run]))
             rows = np.concatenate(parts)
             # States of the dataset stand before those that are added.
             if key in self._features:
@@ -273,10 +284,9 @@ class Dataset:
             for key in stats_of_episodes[0]:
                 prefix = f"stats/{key}/"
                 columns = [n for n in table.column_names if n.startswith(prefix)]
+                rows_before = table.select(columns).to_pylist()
                 rows = []
-                for k, row in zip(
-                    numbers, table.select(columns).to_pylist(), strict=True
-                ):
+                for k, row in zip(numbers, rows_before, strict=True):
                     existing = {name.removeprefix(prefix): row[name] for name in row}
                     rows.append(_appended(existing, stats_of_episodes[k][key]))
 
@@ -320,8 +330,11 @@ def make_dataset(root: Path, lengths: Sequence[int], fps: int) -> Dataset:
         }
         # A file of its own for each episode.
         places = {"chunk_index": k // CHUNK, "file_index": k % CHUNK}
-        pq.write_table(pa.table(columns), _make(root / DATA_PATH.format(**places)))
-        of_columns = {name: _stats(values[:, None]) for name, values in columns.items()}
+        path = root / DATA_PATH.format(**places)
+        pq.write_table(pa.table(columns), _make(path))
+        of_columns = {}
+        for name, values in columns.items():
+            of_columns[name] = _stats(values[:, None])
         stats.append(of_columns)
         episode = {
             "episode_index": k,
