@@ -11,8 +11,8 @@ from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Any
 from threading import Thread
+from typing import Any
 
 import numpy as np
 import pandas as pd
