@@ -60,6 +60,7 @@ def points(quick: bool, seed: int) -> list[dict[str, Any]]:
         "seconds": SECONDS,
     }
     rates_hz = QUICK_RATES_HZ if quick else RATES_HZ
+    # Stated in the point: figures with and without it are not mixed.
     try:
         Scheduling(priority=PRIORITY).check_permitted()
     except SettingsError:
@@ -112,12 +113,15 @@ def _figures(
     used_ns = 0
     for node in node_of.values():
         notes = reports[node][PROCESSOR]
-        used_ns += notes[-1] - notes[round(WARM_UP * len(notes))]
+        n_left_out = round(WARM_UP * len(notes))
+        used_ns += notes[-1] - notes[n_left_out]
     sensor = np.array(reports["sensor"][WATCH], dtype=np.int64)
     host = np.array(reports["reconstructor"][WATCH], dtype=np.int64)
+    # By the stamps of the first frame and the last one.
     passed_s = (sensor[-1, 0] - sensor[0, 0]) / 1e9
+    n_counted = (1 - WARM_UP) * len(sensor)
     return {
-        "cpu_us": used_ns / 1e3 / ((1 - WARM_UP) * len(sensor)),
+        "cpu_us": used_ns / 1e3 / n_counted,
         **ages_ms(host[:, 3]),
         "hz": (len(sensor) - 1) / passed_s,
         "skipped": 1 - len(host) / len(sensor),

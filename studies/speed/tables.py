@@ -76,16 +76,16 @@ def solvers(page: Page, quick: bool, seed: int) -> list[str]:
     frames = [
         PressFrames("plate", (side, side), n_frames, speed=0.02) for side in sides
     ]
+    # A slow body on both: times are of the steps, not of sudden contacts.
     forms = {"numpy": "off"}
     if find_spec("numba"):
         forms["compiled"] = "on"
-    candidates = {
-        f"{preset}, {form}": Candidate(
-            {**PRESETS[preset], "fast": fast}, changes={"rows": rows}
-        )
-        for preset, rows in (("paper", PAPER_ROWS), ("skin", FIXED))
-        for form, fast in forms.items()
-    }
+    candidates = {}
+    for preset, rows_of_phi in (("paper", PAPER_ROWS), ("skin", FIXED)):
+        for form, fast in forms.items():
+            settings = PRESETS[preset] | {"fast": fast}
+            candidate = Candidate(settings, changes={"rows": rows_of_phi})
+            candidates[f"{preset}, {form}"] = candidate
     scores = ("median_ms", "p99_ms", "iterations", "mean_db")
     timed = Experiment(
         "solvers", frames, [Measurement()], candidates, scores, (seed,), timed=True
@@ -109,8 +109,10 @@ def solvers(page: Page, quick: bool, seed: int) -> list[str]:
         "frames a second": ".0f",
     }
     page.section("Solvers", markdown(table.rename(columns=headings), formats))
-    last = rows[(rows["n"] == rows["n"].max()) & rows["method"].str.startswith("skin")]
-    return cells(last, "Solver {method}, N = {n}: {median_ms:.2f} ms a frame.")
+    # The default on the largest skin.
+    is_largest = rows["n"] == rows["n"].max()
+    of_default = rows[is_largest & rows["method"].str.startswith("skin")]
+    return cells(of_default, "Solver {method}, N = {n}: {median_ms:.2f} ms a frame.")
 
 
 def bodies(page: Page, quick: bool, seed: int) -> str:
@@ -119,6 +121,7 @@ def bodies(page: Page, quick: bool, seed: int) -> str:
     numbers = QUICK_PATCHES if quick else PATCHES
     points = []
     for idle, n in product(LOADS, numbers):
+        # A frame of many patches takes long enough to be measured by itself.
         n_frames = 12 if quick or n >= 64 else 60
         points.append(
             {
@@ -145,9 +148,18 @@ def bodies(page: Page, quick: bool, seed: int) -> str:
             "unchanged": cells(rows, "{unchanged:.0%}"),
         }
     )
+    line = _cost_of_a_million(rows)
+    page.section("Bodies of many patches", table, line, side=PATCH_SIDE)
+    return line
+
+
+def _cost_of_a_million(rows: pd.DataFrame) -> str:
+    """How time grows with the taxels, and what a million of them take at 1 kHz."""
+    # Time of all patches over their number: a line in logarithms, whose slope is the power.
     solved = rows[rows["idle"] == 0]
-    spent = np.log((solved["edge_us"] + solved["host_us"]) * solved["patches"])
-    slope = float(np.polyfit(np.log(solved["patches"]), spent, 1)[0])
+    us_of_body = (solved["edge_us"] + solved["host_us"]) * solved["patches"]
+    line_of_fit = np.polyfit(np.log(solved["patches"]), np.log(us_of_body), 1)
+    slope = float(line_of_fit[0])
     patch_hz = GOAL * GOAL_HZ
     largest = rows[rows["patches"] == rows["patches"].max()]
     cores = largest.assign(
@@ -155,16 +167,16 @@ def bodies(page: Page, quick: bool, seed: int) -> str:
         edges=1e-6 * patch_hz * largest["edge_us"],
         hosts=1e-6 * patch_hz * largest["host_us"],
     )
-    last = solved.iloc[-1]
-    links = last["bytes"] / last["patches"] * patch_hz / LINK_BYTES_HZ
-    line = (
+    most_patches = solved.iloc[-1]
+    patch_bytes = most_patches["bytes"] / most_patches["patches"]
+    links = patch_bytes * patch_hz / LINK_BYTES_HZ
+    of_loads = ", ".join(cells(cores, "{load} {edges:.0f} + {hosts:.0f}"))
+    return (
         f"Time grows with taxels to the power {slope:.2f}. A million taxels at 1 kHz take, in "
         f"cores of edges + hosts as fast as this one: "
-        f"{', '.join(cells(cores, '{load} {edges:.0f} + {hosts:.0f}'))}; and {links:.0f} gigabit "
+        f"{of_loads}; and {links:.0f} gigabit "
         f"links in place of {RATIO * links:.0f}."
     )
-    page.section("Bodies of many patches", table, line, side=PATCH_SIDE)
-    return line
 
 
 def quiet_body(page: Page, quick: bool, seed: int) -> str:
@@ -220,6 +232,7 @@ def stages(page: Page, quick: bool, seed: int) -> list[str]:
     headings |= {f"p50 {stage}": stage for stage in latency.STAGES}
     formats = {f"{name} ms": ".2f" for name in latency.QUANTILES}
     formats |= dict.fromkeys(latency.STAGES, ".3f")
+    # A reader has to know: the figures are of this host alone.
     busiest = rows["others"].max()
     busy = (
         f"**The host was busy: other work used up to {busiest:.1f} cores meanwhile. Times are too "
