@@ -245,11 +245,11 @@ def verdict_on(world: World, answers: Iterable[tuple[Frame, Answer | None]]) -> 
         # A lost frame is neither right nor wrong.
         if answer is None:
             continue
-        error[k] = np.linalg.norm(answer.forces - frame.truth) / scale[k]
+        distance = np.linalg.norm(answer.forces - frame.truth)
+        error[k] = distance / scale[k]
         is_trusted[k] = answer.trusted
         is_empty[k] = frame.is_empty or answer.is_empty
         if answer.error and is_pressed[k] and k >= max(world.first_judged, UNSETTLED):
-            distance = np.linalg.norm(answer.forces - frame.truth)
             quotients.append(answer.error * root_n / (distance + TINY))
         if k >= world.first_judged and answer.reason:
             reasons[answer.reason] += 1
@@ -261,19 +261,27 @@ def verdict_on(world: World, answers: Iterable[tuple[Frame, Answer | None]]) -> 
     is_judged = ~np.isnan(error) & (at >= world.first_judged)
     settled_from = max(times.touch, world.first_judged) + UNSETTLED
     is_late = is_judged & (norms > 0) & (at >= settled_from)
-    ratios = np.array(quotients)
     may_be_right = ~is_empty & (at >= UNSETTLED)
     counts = _counts(error, reading, is_judged, is_trusted, may_be_right)
     return Verdict(
         error=_median(error[is_late]),
         reading=_median(reading[is_late]),
         residue=residue,
-        estimated=len(quotients),
-        close=int(np.count_nonzero((ratios > 1 / CLOSE) & (ratios < CLOSE))),
-        low=int(np.count_nonzero(ratios <= 1 / CLOSE)),
         reasons=dict(reasons),
+        **_closeness(np.array(quotients)),
         **counts,
     )
+
+
+def _closeness(quotients: Doubles) -> dict[str, int]:
+    """Numbers of estimated errors of a `Verdict`, by their quotients to the true ones, (n,)."""
+    is_low = quotients <= 1 / CLOSE
+    is_close = ~is_low & (quotients < CLOSE)
+    return {
+        "estimated": quotients.size,
+        "close": int(np.count_nonzero(is_close)),
+        "low": int(np.count_nonzero(is_low)),
+    }
 
 
 def _excess(answer: Answer, frame: Frame, is_touched: Mask) -> float:
