@@ -94,20 +94,21 @@ def run(out: Path, quick: bool, seed: int, executor: str) -> list[str]:
 
 def zones(rows: pd.DataFrame) -> pd.DataFrame:
     """Full readings by panel and dead zone: mean_db, min_db, touched_mn, n_bytes."""
-    full_readings = pooled(unrefused(rows), ["method"]).assign(
-        dead_zone_n=lambda f: f["method"].astype(float)
-    )
-    sizes = [
-        n_bytes(int(panel.removeprefix("N = ")), 1.0, "", "")
-        for panel in full_readings["panel"]
-    ]
-    return full_readings.assign(n_bytes=sizes)
+    # A method is named by its dead zone.
+    full_readings = pooled(unrefused(rows), ["method"])
+    dead_zones = full_readings["method"].astype(float)
+    sizes = []
+    for panel in full_readings["panel"]:
+        n = int(panel.removeprefix("N = "))
+        sizes.append(n_bytes(n, 1.0, "", ""))
+    return full_readings.assign(dead_zone_n=dead_zones, n_bytes=sizes)
 
 
 def raw_and_zoned(read: pd.DataFrame, panel: str) -> tuple[pd.Series, pd.Series]:
     """The reading of a panel as it is, and with its best dead zone."""
-    of = read[read["panel"] == panel].set_index("dead_zone_n", drop=False)
-    return of.loc[0.0], of.loc[of["mean_db"].idxmax()]
+    of_panel = read[read["panel"] == panel].set_index("dead_zone_n", drop=False)
+    best = of_panel["mean_db"].idxmax()
+    return of_panel.loc[0.0], of_panel.loc[best]
 
 
 def swept(rows: pd.DataFrame) -> pd.DataFrame:
@@ -129,11 +130,14 @@ def write(
     rows = pooled(every, ["label", "phi", "ratio", "n_bytes"])
     by_panel: dict[Any, pd.DataFrame] = dict(iter(rows.groupby("panel", sort=False)))
     pages = Page(out, "speed-accuracy", Path(__file__).with_name("notes.md"), quick)
-    settings = "\n".join(
-        f"- {label}: {', '.join(f'{k} {v}' for k, v in of.settings.items() if k != 'solver')}"
-        for label, of in variants().items()
-        if label not in LARGER
-    )
+    # Larger taxels have none.
+    items = []
+    for label, variant in variants().items():
+        if label in LARGER:
+            continue
+        texts = [f"{k} {v}" for k, v in variant.settings.items() if k != "solver"]
+        items.append(f"- {label}: {', '.join(texts)}")
+    settings = "\n".join(items)
     n_busy = int((timed["cpu_share"].astype(float) < QUIET_SHARE).sum())
     busy = (
         f"**The host was busy: {n_busy} of {len(timed)} points had a core for less than "
@@ -145,11 +149,13 @@ def write(
     of_times = pooled(timed.fillna({"pace": 0}), ["label", "pace"])
     noisy = {panel: raw_and_zoned(read, panel)[0]["mean_db"] for panel in by_panel}
     pages.section("Time of a frame", draw_times(out, of_times, noisy), _times(of_times))
-    full = [of[of["phi"] == "full"] for of in by_panel.values()]
+    # Sums by their bytes, then the readings of all taxels.
+    sums = [swept(of_panel) for of_panel in by_panel.values()]
+    full = [of_panel[of_panel["phi"] == "full"] for of_panel in by_panel.values()]
     pages.section(
         "Bytes sent",
         _draw(out, by_panel, read),
-        _table(pd.concat([*(swept(of) for of in by_panel.values()), *full])),
+        _table(pd.concat([*sums, *full])),
         "Readings of all taxels without a solver, as they are and with their best dead zone:",
         _readings(read),
     )
@@ -172,17 +178,18 @@ def conclusion(by_panel: dict[Any, pd.DataFrame], read: pd.DataFrame) -> list[st
     """The default beside the paper's method and the reading of all taxels, at M = N/3."""
     lines = []
     best = []
-    for panel, of in by_panel.items():
-        rows = swept(of)
+    for panel, of_panel in by_panel.items():
+        rows = swept(of_panel)
         rows = rows[rows["ratio"] == CENTRE_RATIO].set_index("label")
         raw, _ = raw_and_zoned(read, panel)
-        figures = ", ".join(
-            f"*{label}* {rows.loc[label, 'mean_db']:.1f}"
-            for label in FOCUS
-            if label in rows.index
-        )
+        # A library that is not installed has no row.
+        figures = []
+        for label in FOCUS:
+            if label in rows.index:
+                figures.append(f"*{label}* {rows.loc[label, 'mean_db']:.1f}")
         lines.append(
-            f"{panel}, M = N/{CENTRE_RATIO}, mean PSNR of contact frames in dB: {figures}; all "
+            f"{panel}, M = N/{CENTRE_RATIO}, mean PSNR of contact frames in dB: "
+            f"{', '.join(figures)}; all "
             f"taxels sent {raw['mean_db']:.1f}."
         )
         best.append(f"*{rows['mean_db'].idxmax()}* ({panel})")
