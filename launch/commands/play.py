@@ -120,6 +120,7 @@ def _play(arguments: argparse.Namespace) -> int:
     values["paused"] = arguments.pause
     # The stamps of a loop would go back: they are made anew.
     values["keep_stamps"] = not arguments.loop
+    # A refusal names what the user typed, not the setting behind it.
     with naming_options(OPTIONS):
         if arguments.open:
             launch = _with_page(arguments, path, values)

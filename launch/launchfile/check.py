@@ -106,6 +106,7 @@ class Checker:
         else:
             self.add_recorder(tables, hosts, record)
 
+        # Even with faults in some nodes: all that is wrong is reported at once.
         nodes = self.nodes(tables)
         links = self.connected(nodes, tables, hosts)
         if self.errors:

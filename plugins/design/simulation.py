@@ -204,6 +204,7 @@ def light_touch(reader: Reader, mask: Mask, noise: float, seed: int) -> float:
     if is_whole.any():
         places = np.argwhere(is_whole)
 
+    # Noise is drawn anew in each frame: one generator goes through all of them.
     def frame(truth: Floats) -> Floats:
         taxels = model.apply(truth, rng)
         taxels[~mask] = 0

@@ -152,6 +152,7 @@ def conclusion(rows: pd.DataFrame) -> list[str]:
 
 def wiring(point: dict[str, Any]) -> dict[str, Any]:
     """Wires of each matrix. `point`: seed."""
+    # Wires of an array are those of the skin alone, whatever is read through them.
     n = math.prod(SHAPE)
     exists = np.ones(SHAPE, dtype=np.bool_)
     m = m_of(n, RATIO, ROTATING)

@@ -259,6 +259,7 @@ class ZarrFolder(ArrayFile):
             )
             raise SourceError(f"{self.where(key)}: {fault}")
 
+        # Read-only: what is read of it is copied.
         flat = np.frombuffer(plain, stored.dtype)
         if stored.order == "F":
             return flat.reshape(stored.chunks, order="F")
@@ -305,6 +306,7 @@ class ZarrFolder(ArrayFile):
         axis_names = attributes.get(LABELS)
         if isinstance(axis_names, list) and len(axis_names) == len(sides):
             labels = tuple(map(str, axis_names))
+        # Those datasets state no labels, but have one layout.
         if SENSORS.search(path) and len(sides) > 1 and not labels:
             labels, names = _tactile_axes(sides)
         self.datasets[path] = Dataset(sides, dtype, labels, attributes, names)
@@ -373,6 +375,7 @@ def _file_bytes(path: Path, limit: int, where: str) -> bytes | None:
         fault = f"cannot be read ({error.strerror})"
         raise SourceError(f"{where}: {shown(path.name)}: {fault}") from error
 
+    # One byte more than allowed shows that there are too many.
     with open(descriptor, "rb") as file:
         raw = file.read(limit + 1)
     if len(raw) > limit:
