@@ -191,6 +191,7 @@ def _calibrate(arguments: argparse.Namespace) -> int:
         keep_noise=arguments.keep_noise,
         invert=invert,
     )
+    # Presses show the sign; without one, a touch in the rest of the recording may.
     if not presses and isinstance(reader, Recorded):
         line = line_on_sign(calibration.skin, reader.frames, invert)
         if line:
@@ -210,6 +211,7 @@ def _check_out(out: Path) -> None:
     """Raise an error if the file cannot be written, before a person has pressed."""
     if out.suffix != ".toml":
         raise SkinFileError(f"--out {out}: expected a name that ends in .toml")
+    # Arrays may lie beside it: a file of another skin must not be overwritten.
     for path in (out, out.with_suffix(".npz")):
         if path.exists():
             raise OutputError(f"--out {path}: {TAKEN}")
@@ -255,6 +257,7 @@ class _Steps:
         )
         at, area = answer or ("", None)
         label = f"{force:.4g}N{at}"
+        # A recording was made before: the person states where the press is in it.
         if self._reader.is_live:
             frames = self._frames(f"{STEP_S:g}s", f"Put {label} on")
         else:
@@ -304,6 +307,7 @@ class _Steps:
                     f"{where}: no such file; allowed: {PARTS}, or a file"
                 )
             return open_file(where, self._layout, raw=True).frames
+        # Of a live source the part is in the future.
         if self._reader.is_live:
             begin_s, end_s = part
             self._wait(f"{end_s - begin_s:g} s", request)
