@@ -23,7 +23,10 @@ except ModuleNotFoundError:
 
 plt.switch_backend("Agg")
 
-ROWS, COLS, RATE_HZ, MINUTES = 16, 32, 10, 10
+ROWS = 16
+COLS = 32
+RATE_HZ = 10
+MINUTES = 10
 RNG = np.random.default_rng(0)
 OFFSET = RNG.uniform(20, 90, (ROWS, COLS))
 GAIN = RNG.lognormal(0, 0.25, (ROWS, COLS))
@@ -38,9 +41,11 @@ def counts(forces, time_s=0.0):
         + GAIN * 900 * forces / (forces + 1.2)
         + WARMING * (1 - np.exp(-time_s / 300))
     )
-    found = np.round(np.clip(clean + RNG.normal(0, 2, clean.shape), 0, 1023))
-    found[3, 4], found[12, 20] = 0, OFFSET[12, 20]  # broken: a wire, a taxel
-    return found
+    noisy = clean + RNG.normal(0, 2, clean.shape)
+    readings = np.round(np.clip(noisy, 0, 1023))
+    readings[3, 4] = 0  # a broken wire
+    readings[12, 20] = OFFSET[12, 20]  # a broken taxel
+    return readings
 
 
 def frames(forces, n=100):
@@ -99,11 +104,11 @@ def main(out: str = "calibrate.png") -> None:
         raw = counts(force, time_s)
         totals["true"].append(force[works].sum())
         for name, apply in chains.items():
-            found = apply(raw, round(time_s * 1e9))
-            totals[name].append(found[works].sum())
-            held = works & (force > 0.05)
-            if held.any():
-                errors[name].append(found[held] / force[held] - 1)
+            measured = apply(raw, round(time_s * 1e9))
+            totals[name].append(measured[works].sum())
+            touched = works & (force > 0.05)
+            if touched.any():
+                errors[name].append(measured[touched] / force[touched] - 1)
 
     true = np.array(totals["true"])
     touched = true > 0
@@ -119,7 +124,11 @@ def main(out: str = "calibrate.png") -> None:
         print(f"{name:<28}{off[touched].mean():>10.1f} ({off[touched & late].mean():.1f})"
               f"{rms[0]:>11.1f} ({rms[1]:.1f}){total[~touched].mean():>16.2f}")  # fmt: skip
 
-    figure, ax = plt.subplots(figsize=(9, 4), dpi=90, layout="constrained")
+    figure, ax = plt.subplots(
+        figsize=(9, 4),
+        dpi=90,
+        layout="constrained",
+    )
     colours = {
         "true": "black",
         **dict(zip(chains, ("#b9b9b9", "#c05a00", "#0b6a9c"), strict=True)),
@@ -132,8 +141,16 @@ def main(out: str = "calibrate.png") -> None:
             label=name,
             lw=2 if name == "true" else 1,
         )
-    ax.set(xlabel="minutes", ylabel="total force in N", ylim=(0, 2.2 * true.max()))
-    ax.legend(loc="upper left", ncols=2, frameon=False)
+    ax.set(
+        xlabel="minutes",
+        ylabel="total force in N",
+        ylim=(0, 2.2 * true.max()),
+    )
+    ax.legend(
+        loc="upper left",
+        ncols=2,
+        frameon=False,
+    )
     ax.spines[["top", "right"]].set_visible(False)
     figure.savefig(out)
 

@@ -12,7 +12,12 @@ def main() -> None:
     forces = np.zeros((40, 40), np.float32)
     forces[12:20, 8:24] = 0.6  # a rectangular contact, newtons per taxel
 
-    phi = sparseskin.make_phi("sbhe", n=1600, m=533, seed=0)
+    phi = sparseskin.make_phi(
+        "sbhe",
+        n=1600,
+        m=533,
+        seed=0,
+    )
     basis = sparseskin.make_basis("haar", 40, 40)
     solver = sparseskin.make_solver("fista", phi, basis, iterations=30, rows="fixed")
 

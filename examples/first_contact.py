@@ -19,7 +19,12 @@ plt.switch_backend("Agg")
 
 def main(out: str = "first_contact.png") -> None:
     truth, taxels = sparseskin.simulate("lift_box_40", 420)
-    phi = sparseskin.make_phi("sbhe", n=1600, m=533, seed=0)
+    phi = sparseskin.make_phi(
+        "sbhe",
+        n=1600,
+        m=533,
+        seed=0,
+    )
     basis = sparseskin.make_basis("haar", 40, 40)
     measurements = sparseskin.compress(taxels, phi, rows="fixed")
     estimates = {"all taxels": taxels}
@@ -28,31 +33,48 @@ def main(out: str = "first_contact.png") -> None:
         estimates[label] = sparseskin.reconstruct(measurements, solver)
 
     touched = truth.max(axis=(1, 2)) > 0.01
-    first = int(np.argmax(touched))
-    print(f"first contact in frame {first}")
+    landing = int(np.argmax(touched))
+    print(f"first contact in frame {landing}")
 
-    figure = plt.figure(figsize=(11, 7), dpi=90, layout="constrained")
+    figure = plt.figure(
+        figsize=(11, 7),
+        dpi=90,
+        layout="constrained",
+    )
     maps, curves = figure.subfigures(2, 1, height_ratios=(1, 1))
-    shown = first + 4
+    number = landing + 4
     panels = {"true forces": truth, **estimates}
     axes = maps.subplots(1, len(panels))
     for ax, (label, frames) in zip(axes, panels.items(), strict=True):
-        image = ax.imshow(frames[shown], vmin=0, vmax=truth[shown].max())
-        ax.set(title=label, xticks=[], yticks=[])
-    maps.colorbar(image, ax=axes, label="force in N", shrink=0.8)
-    maps.suptitle(f"frame {shown}, {1 + shown - first} ms after the first touch")
+        image = ax.imshow(frames[number], vmin=0, vmax=truth[number].max())
+        ax.set(
+            title=label,
+            xticks=[],
+            yticks=[],
+        )
+    maps.colorbar(
+        image,
+        ax=axes,
+        label="force in N",
+        shrink=0.8,
+    )
+    maps.suptitle(f"frame {number}, {1 + number - landing} ms after the first touch")
 
     ax = curves.subplots()
-    window = slice(first - 10, first + 60)
+    window = slice(landing - 10, landing + 60)
     for label, frames in estimates.items():
         psnr = sparseskin.psnr_db(frames, truth)
         ax.plot(np.arange(len(psnr))[window], psnr[window], label=label)
         print(
             f"{label}: {psnr[touched].mean():.1f} dB mean, {psnr[touched].min():.1f} dB worst"
         )
-    ax.axvline(first, color="0.7")
+    ax.axvline(landing, color="0.7")
     ax.set(xlabel="frame (1 ms each)", ylabel="PSNR in dB")
-    ax.legend(frameon=False, loc="center right", bbox_to_anchor=(1, 0.42))
+    ax.legend(
+        frameon=False,
+        loc="center right",
+        bbox_to_anchor=(1, 0.42),
+    )
     figure.savefig(out)
 
 

@@ -14,7 +14,12 @@ def main() -> None:
     forces = np.where(mask & (rows > 14) & (cols > 8), 0.5, 0).astype(np.float32)
 
     n = int(mask.sum())
-    phi = sparseskin.make_phi("sbhe", n=n, m=n // 2, seed=0)
+    phi = sparseskin.make_phi(
+        "sbhe",
+        n=n,
+        m=n // 2,
+        seed=0,
+    )
     basis = sparseskin.make_basis("haar", 24, 24)
     solver = sparseskin.make_solver(
         "fista", phi, basis, mask, iterations=100, rows="fixed"

@@ -32,11 +32,10 @@ def worker(k: int) -> tuple[int, float]:
 
 def main() -> None:
     with make_executor("mpi_pool:pool") as executor:
-        found = list(executor.map(worker, range(8)))
-    ranks = sorted({rank for rank, _ in found})
-    print(
-        f"{len(found)} tasks on processes {ranks}, mean norm {np.mean([x for _, x in found]):.1f}"
-    )
+        results = list(executor.map(worker, range(8)))
+    ranks = sorted({rank for rank, _ in results})
+    norm = np.mean([x for _, x in results])
+    print(f"{len(results)} tasks on processes {ranks}, mean norm {norm:.1f}")
 
 
 if __name__ == "__main__":

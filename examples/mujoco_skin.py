@@ -23,7 +23,10 @@ if find_spec("mujoco") is None:
     sys.exit("this example runs MuJoCo: pip install 'sparseskin[mujoco]'")
 
 MODEL = Path(__file__).parent / "models" / "pad.xml"
-N_STEPS, DRAG_AT_S, SPEED_M_S, MASS_KG = 2000, 1.0, 0.05, 0.3
+N_STEPS = 2000
+DRAG_AT_S = 1.0
+SPEED_M_S = 0.05
+MASS_KG = 0.3
 
 
 def drag(model, data, time_s):
@@ -66,7 +69,8 @@ def in_the_contact_model(radius_m):
 
 
 def line(name, frames, reference):
-    total, touched = frames.sum(axis=(1, 2)), (frames > 0).sum(axis=(1, 2))
+    total = frames.sum(axis=(1, 2))
+    touched = (frames > 0).sum(axis=(1, 2))
     contact = (frames.max(axis=(1, 2)) > 0.01) | (reference.max(axis=(1, 2)) > 0.01)
     error = ((frames - reference) ** 2).mean(axis=(1, 2))[contact]
     psnr = np.minimum(10 * np.log10(2.5**2 / np.maximum(error, 1e-30)), 100)

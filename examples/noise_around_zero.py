@@ -12,7 +12,8 @@ from sparseskin.nodes.sensor.calibration.chain import Chain
 from sparseskin.nodes.sensor.calibration.description import SkinDescription
 from sparseskin.nodes.sensor.scenes.scenes import open_scene
 
-NOISE_N, FRAMES = 0.0141, slice(2000, 2150)
+NOISE_N = 0.0141
+FRAMES = slice(2000, 2150)
 
 
 def main() -> None:
@@ -22,20 +23,28 @@ def main() -> None:
     shape = truth.shape[1:]
     print("drag_wrench_40, 150 frames, N/3    PSNR dB    error of the total force %")
     for label, f_min in (("clipped at 0", 0.0), ("kept, f_min = -0.056 N", -0.056)):
-        chain = Chain(
-            SkinDescription("wrench", *shape, 2.5, noise=NOISE_N, f_min=f_min), 0.0
-        )
+        skin = SkinDescription("wrench", *shape, 2.5, noise=NOISE_N, f_min=f_min)
+        chain = Chain(skin, drift_rate=0.0)
         taxels = np.stack([chain.apply(frame, k) for k, frame in enumerate(raw)])
-        phi = sparseskin.make_phi("sbhe", n=truth[0].size, m=truth[0].size // 3, seed=0)
-        solver = sparseskin.make_solver(
-            "skin", phi, sparseskin.make_basis("haar", *shape)
+        phi = sparseskin.make_phi(
+            "sbhe",
+            n=truth[0].size,
+            m=truth[0].size // 3,
+            seed=0,
         )
-        found = sparseskin.reconstruct(sparseskin.compress(taxels, phi), solver)
-        for what, forces in (("readings", taxels), ("reconstruction", found)):
+        basis = sparseskin.make_basis("haar", *shape)
+        solver = sparseskin.make_solver("skin", phi, basis)
+        measurements = sparseskin.compress(taxels, phi)
+        maps = {
+            "readings": taxels,
+            "reconstruction": sparseskin.reconstruct(measurements, solver),
+        }
+        true_totals = truth.sum(axis=(1, 2))
+        for name, forces in maps.items():
             psnr_db = np.mean(sparseskin.psnr_db(truth, forces, f_max=2.5))
-            totals, true = forces.sum(axis=(1, 2)), truth.sum(axis=(1, 2))
-            error = 100 * np.mean(np.abs(totals / true - 1))
-            print(f"{label + ', ' + what:<38}{psnr_db:>5.1f}{error:>12.1f}")
+            totals = forces.sum(axis=(1, 2))
+            error = 100 * np.mean(np.abs(totals / true_totals - 1))
+            print(f"{label + ', ' + name:<38}{psnr_db:>5.1f}{error:>12.1f}")
 
 
 if __name__ == "__main__":

@@ -18,7 +18,8 @@ class BlockCosine(Basis):
     """Orthonormal cosine transform of each block of 8 x 8 taxels; sides are multiples of 8."""
 
     def _blocks(self, flat):
-        rows, cols = self.n_rows // SIDE, self.n_cols // SIDE
+        rows = self.n_rows // SIDE
+        cols = self.n_cols // SIDE
         return flat.reshape(rows, SIDE, cols, SIDE)
 
     def _analysis(self, image, out):
@@ -33,7 +34,12 @@ class BlockCosine(Basis):
 def main() -> None:
     rows, cols = np.mgrid[0:40, 0:40]
     smooth = np.exp(-((rows - 18.0) ** 2 + (cols - 22.0) ** 2) / 50).astype(np.float32)
-    phi = sparseskin.make_phi("sbhe", n=1600, m=533, seed=0)
+    phi = sparseskin.make_phi(
+        "sbhe",
+        n=1600,
+        m=533,
+        seed=0,
+    )
     measurements = sparseskin.compress(smooth, phi, rows="fixed")
     for name in ("haar", "own_basis:BlockCosine"):
         basis = sparseskin.make_basis(name, 40, 40)

@@ -45,10 +45,17 @@ class RandomSums(Phi):
 
 def main() -> None:
     truth, taxels = sparseskin.simulate("lift_box_40", 340)
-    truth, taxels = truth[-25:], taxels[-25:]  # the box lands at frame 320
+    # The box lands at frame 320.
+    truth = truth[-25:]
+    taxels = taxels[-25:]
     basis = sparseskin.make_basis("haar", 40, 40)
     for kind in ("sbhe", "own_phi:RandomSums"):
-        phi = sparseskin.make_phi(kind, n=1600, m=533, seed=0)
+        phi = sparseskin.make_phi(
+            kind,
+            n=1600,
+            m=533,
+            seed=0,
+        )
         sparseskin.check_phi(phi)
         solver = sparseskin.make_solver("fista", phi, basis)
         reconstructed = sparseskin.reconstruct(sparseskin.compress(taxels, phi), solver)

@@ -19,7 +19,8 @@ class ProjectedGradient(Solver):
         self, phi, basis, mask=None, *, iterations: int = 30, shrinkage: float = 0.0
     ) -> None:
         super().__init__(phi, basis, mask)
-        self.n_steps, self._shrinkage = iterations, shrinkage
+        self.n_steps = iterations
+        self._shrinkage = shrinkage
         self.reset()
 
     def reset(self) -> None:
@@ -45,7 +46,12 @@ class ProjectedGradient(Solver):
 
 def main() -> None:
     truth, taxels = sparseskin.simulate("lift_box_40", 340)
-    phi = sparseskin.make_phi("sbhe", n=1600, m=533, seed=0)
+    phi = sparseskin.make_phi(
+        "sbhe",
+        n=1600,
+        m=533,
+        seed=0,
+    )
     basis = sparseskin.make_basis("haar", 40, 40)
     measurements = sparseskin.compress(taxels, phi)
     for name in ("own_solver:ProjectedGradient", "fista"):

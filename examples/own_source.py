@@ -15,7 +15,8 @@ def frames():
     """A fingertip that circles over 16 x 24 taxels; in place of hardware."""
     rows, cols = np.mgrid[0:16, 0:24]
     for k in range(200):
-        row, col = 8 + 4 * np.sin(k / 30), 12 + 7 * np.cos(k / 30)
+        row = 8 + 4 * np.sin(k / 30)
+        col = 12 + 7 * np.cos(k / 30)
         pressed = (rows - row) ** 2 + (cols - col) ** 2 < 9
         yield time.monotonic_ns(), np.where(pressed, 0.4, 0.0)  # newtons, 0 to 2.5
 
@@ -23,11 +24,11 @@ def frames():
 def main() -> None:
     settings = ["sensor.source=own_source:frames"]
     for frame in sparseskin.run_launch("replay", 100, settings):
-        last = frame
-    quality = sparseskin.psnr_db(last.forces, last.taxels)
-    print(
-        f"{last.measurements.size} of {last.taxels.size} numbers, {quality:.1f} dB to the taxels"
-    )
+        newest = frame
+    quality = sparseskin.psnr_db(newest.forces, newest.taxels)
+    m = newest.measurements.size
+    n = newest.taxels.size
+    print(f"{m} of {n} numbers, {quality:.1f} dB to the taxels")
 
 
 if __name__ == "__main__":

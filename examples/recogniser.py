@@ -35,13 +35,26 @@ model = "{model}"
 
 def recording(body: str, seeds: range, path: Path) -> Path:
     """A body that is pressed again and again on 20 x 20 taxels, in place of a skin of yours."""
-    taps = Timing(untouched=0, contact=4, pause=1)
-    how = {"course": "sudden", "active": 0.2, "noise": NoiseModel(), "timing": taps}
+    taps = Timing(
+        untouched=0,
+        contact=4,
+        pause=1,
+    )
+    how = {
+        "course": "sudden",
+        "active": 0.2,
+        "noise": NoiseModel(),
+        "timing": taps,
+    }
     frames = [
         r for seed in seeds for _, r in press_frames(body, (20, 20), 50, seed, **how)
     ]
     np.savez(
-        path, forces=np.stack(frames), f_max=2.5, rate_hz=100.0, unit=np.array("N")
+        path,
+        forces=np.stack(frames),
+        f_max=2.5,
+        rate_hz=100.0,
+        unit=np.array("N"),
     )
     return path
 
@@ -66,9 +79,10 @@ def main() -> None:
             pressed = [
                 f for f in sparseskin.run_launch(str(graph)) if f.taxels.max() > 0.2
             ]
-            seen = Counter(frame.label.label or "nothing" for frame in pressed)
+            counts = Counter(frame.label.label or "nothing" for frame in pressed)
             print(
-                f"{body}:", ", ".join(f"{label} {n}" for label, n in seen.most_common())
+                f"{body}:",
+                ", ".join(f"{label} {n}" for label, n in counts.most_common()),
             )
 
 

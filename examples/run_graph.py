@@ -20,10 +20,12 @@ def main() -> None:
             > 0.01  # newtons: an untouched skin is easy, and flatters
         ]
         noisy = [sparseskin.psnr_db(frame.taxels, frame.truth) for frame in frames]
-        made = [sparseskin.psnr_db(frame.forces, frame.truth) for frame in frames]
+        psnr_db = [sparseskin.psnr_db(frame.forces, frame.truth) for frame in frames]
+        mean_db = sum(psnr_db) / len(psnr_db)
+        noisy_db = sum(noisy) / len(noisy)
         print(
-            f"N/{ratio}, preset paper: contact frames, mean PSNR {sum(made) / len(made):.1f} dB, "
-            f"all taxels {sum(noisy) / len(noisy):.1f} dB"
+            f"N/{ratio}, preset paper: contact frames, mean PSNR {mean_db:.1f} dB, "
+            f"all taxels {noisy_db:.1f} dB"
         )
 
 

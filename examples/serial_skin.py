@@ -22,7 +22,8 @@ DEVICE = os.environ.get("SKIN_DEVICE", "/dev/ttyUSB0")
 SHAPE = (12, 32)
 RANGE_N = 2.5
 SILENT_S = 2.0
-MARK, SIZE = b"\xaa\x55", SHAPE[0] * SHAPE[1]
+MARK = b"\xaa\x55"
+SIZE = SHAPE[0] * SHAPE[1]
 
 
 def opened():
@@ -41,7 +42,10 @@ def read(line):
 
 
 def frames():
-    line, waiting, n_bad, logged = opened(), b"", 0, 0
+    line = opened()
+    waiting = b""
+    n_bad = 0
+    logged = 0
     try:
         while True:
             begin = waiting.find(MARK) + len(MARK)

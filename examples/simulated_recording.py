@@ -11,13 +11,18 @@ import numpy as np
 
 import sparseskin
 
-N_STEPS, N_ROWS, N_COLS, STEP_S, PITCH_M = 300, 24, 24, 0.002, 0.004
+N_STEPS = 300
+N_ROWS = 24
+N_COLS = 24
+STEP_S = 0.002
+PITCH_M = 0.004
 
 
 def step(k):
     """Normal forces of the taxels in newtons after step k, (rows, columns)."""
     row, col = np.mgrid[:N_ROWS, :N_COLS]
-    at_row, at_col = 6 + 12 * k / N_STEPS, 11.5
+    at_row = 6 + 12 * k / N_STEPS
+    at_col = 11.5
     force = 0.8 * np.sin(np.pi * k / N_STEPS)
     return force * np.exp(-((row - at_row) ** 2 + (col - at_col) ** 2) / (2 * 2.5**2))
 

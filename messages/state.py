@@ -1,5 +1,6 @@
 """State messages: descriptions of the nodes, latched so that late subscribers receive them."""
 
+import math
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
@@ -87,6 +88,19 @@ class SkinState(Message):
         """True if the range clips more than a fortieth of the noise of an untouched taxel."""
         # Below -2 standard deviations lie 2.3 % of it. Noise that is not stated may have any size.
         return self.f_min > -2 * self.sigma_end or not self.f_min
+
+    @property
+    def clip_bias(self) -> float:
+        """Mean force of an untouched taxel, in `unit`, as the range clips its stated noise at the
+        lower end; 0 where it does not.
+        """
+        if not self.clips_noise or not self.sigma_end:
+            return 0.0
+        # Mean of max(-c, z), z normal: p(c) - c P(z < -c); the range ends c deviations below 0.
+        c = -self.f_min / self.sigma_end
+        density = math.exp(-c * c / 2) / math.sqrt(2 * math.pi)
+        below = math.erfc(c / math.sqrt(2)) / 2
+        return min(self.sigma_end * (density - c * below), self.f_max)
 
     @property
     def least_sd(self) -> float:
@@ -191,6 +205,10 @@ class SolverState(Message):
     is pressed; `frame_ms` the time that they take on this host then, milliseconds, 0 where it is
     not known. Where fewer are pressed, a frame has up to `max_iterations`; 0: none has more. Their
     number follows from `frame_tiles` and `step_tiles`, as of `SkinSolver`.
+
+    `noise_sum` is the sum of the readings of the untouched skin, in the mean, as noise is clipped
+    at the lower end of the range: reconstructed forces have about as much of it; pressed taxels
+    have none. 0 where the solver subtracts it.
     """
 
     schema: ClassVar[str] = "solver"
@@ -205,6 +223,7 @@ class SolverState(Message):
     max_iterations: int = omitted(Integer(0, 1_000_000), 0)
     frame_tiles: int = omitted(Integer(), 0)
     step_tiles: int = omitted(Integer(), 0)
+    noise_sum: float = omitted(Real(0.0), 0.0)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -112,7 +112,10 @@ def configure(parser: argparse.ArgumentParser) -> None:
         help="fewer frames and points: to see that it runs",
     )
     parser.add_argument(
-        "--out", metavar="DIR", type=Path, help="folder to write to (default: out/NAME)"
+        "--out",
+        metavar="DIR",
+        type=Path,
+        help="folder to write to (default: out/NAME)",
     )
     rare_options.add_argument(
         "--executor",
@@ -127,25 +130,55 @@ def configure(parser: argparse.ArgumentParser) -> None:
 def _add_options_of_studies(rare_options: argparse._ArgumentGroup) -> None:
     """Options that some studies take (`Study.options`), and those that are rarely used."""
     about = "accuracy: folder of recordings of real skins"
-    rare_options.add_argument("--recordings", metavar="DIR", type=Path, help=about)
+    rare_options.add_argument(
+        "--recordings",
+        metavar="DIR",
+        type=Path,
+        help=about,
+    )
     about = "tasks: folder of frames with labels, STEMNIST or one .npz"
-    rare_options.add_argument("--data", metavar="DIR", type=Path, help=about)
+    rare_options.add_argument(
+        "--data",
+        metavar="DIR",
+        type=Path,
+        help=about,
+    )
     rare_options.add_argument(
         "--anew", action="store_true", help="delete the points of earlier runs"
     )
     about = "seed of noise and Phi (default: 0)"
-    rare_options.add_argument("--seed", type=whole(0, 2**32 - 1), default=0, help=about)
+    rare_options.add_argument(
+        "--seed",
+        type=whole(0, 2**32 - 1),
+        default=0,
+        help=about,
+    )
     about = "accuracy: number of seeds, from --seed on (default: 1)"
-    rare_options.add_argument("--seeds", metavar="K", type=whole(1, 1000), help=about)
+    rare_options.add_argument(
+        "--seeds",
+        metavar="K",
+        type=whole(1, 1000),
+        help=about,
+    )
     about = "stability: so many drawn worlds of each kind, and no other section"
-    rare_options.add_argument("--worlds", metavar="K", type=whole(1, 1000), help=about)
+    rare_options.add_argument(
+        "--worlds",
+        metavar="K",
+        type=whole(1, 1000),
+        help=about,
+    )
     constants = "constants of the default solver halved and doubled, rules off"
     flags = {
         "--constants": f"accuracy: with --recordings: {constants}",
         "--alone": "accuracy: single frames beside total variation (extra peers)",
     }
     for flag, about in flags.items():
-        rare_options.add_argument(flag, action="store_true", default=None, help=about)
+        rare_options.add_argument(
+            flag,
+            action="store_true",
+            default=None,
+            help=about,
+        )
 
 
 def _study(arguments: argparse.Namespace) -> int:

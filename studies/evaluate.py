@@ -31,7 +31,11 @@ from sparseskin.nodes.touch import in_contact
 
 VARIATION = "sparseskin.studies.baselines.total_variation:TvSolver"
 """Name for `make_solver` of total variation."""
-SUM_SOLVERS = {"skin": "skin", "fista": "fista", "tv": VARIATION}
+SUM_SOLVERS = {
+    "skin": "skin",
+    "fista": "fista",
+    "tv": VARIATION,
+}
 """Name for `make_solver` of each solver of sums of taxels, by its label."""
 
 
@@ -198,7 +202,11 @@ def make_method(
     name = settings.pop("solver")
     basis = make_basis(settings.pop("basis", "haar"), *shape)
     skin = Skin(*shape, f_max_n, mask=mask)
-    phis = CompressorSettings(ratio=ratio, seed=seed, **how).phis(skin, sigma_end)
+    phis = CompressorSettings(
+        ratio=ratio,
+        seed=seed,
+        **how,
+    ).phis(skin, sigma_end)
     solver = make_rotating_solver(name, phis, basis, mask, **settings)
     # The noise at mid-range, as it is to that at the ends in the paper.
     if sigma_end:

@@ -143,8 +143,14 @@ class SceneFrames:
     def windows(self, seed: int) -> Iterator[tuple[int, int | None]]:
         """First frame and end of each part, counted from the beginning of the scene."""
         contact = first_contact(self.scene, seed)
-        begin = 0 if self.first is None else max(0, contact + self.first)
-        yield begin, None if self.stop is None else contact + self.stop
+        begin = 0
+        if self.first is not None:
+            begin = max(0, contact + self.first)
+        end = None
+        if self.stop is not None:
+            end = contact + self.stop
+        yield begin, end
+
         if self.later:
             half = (contact + scene_of(self.scene).n_steps) // 2
             yield half, half + self.later * self.every
@@ -152,8 +158,11 @@ class SceneFrames:
     def _parts(self, seed: int) -> Iterator[Pairs]:
         for begin, stop in self.windows(seed):
             asked = (self.scene, seed, begin, stop, self.every, self.noise)
-            is_kept = stop is not None and stop - begin <= MOST_KEPT * self.every
-            yield _kept(*asked) if is_kept else scene_frames(*asked)
+            # A long scene is simulated anew each time: it would fill the memory.
+            if stop is not None and stop - begin <= MOST_KEPT * self.every:
+                yield _kept(*asked)
+            else:
+                yield scene_frames(*asked)
 
 
 @lru_cache(maxsize=4)
@@ -212,12 +221,17 @@ class MeetingFrames:
 
     def open(self, seed: int) -> Take:
         """See `Frames`."""
+        # Each seed has a direction of its own.
         angle = 0.5 + seed
-        along = np.array([np.sin(angle), np.cos(angle)])[:, None, None]
-        places = np.indices((self.side, self.side)) - (self.side - 1) / 2
+        direction = np.array([np.sin(angle), np.cos(angle)])
+        along = direction[:, None, None]
+        middle = (self.side - 1) / 2
+        places = np.indices((self.side, self.side)) - middle
 
         def frame(k: int, rng: np.random.Generator) -> tuple[Floats, Floats]:
-            half_distance = self.radius * (0.6 + 1.4 * abs(np.cos(np.pi * k / 80)))
+            # From 2 radii, where they are apart, to 0.6, where they are one.
+            course = abs(np.cos(np.pi * k / 80))
+            half_distance = self.radius * (0.6 + 1.4 * course)
             truth = np.zeros(places.shape[1:], dtype=np.float32)
             for force, sign in ((0.8, 1), (0.5, -1)):
                 off = places - sign * half_distance * along
@@ -280,8 +294,8 @@ class PadFrames:
         truth = np.zeros((self.side, self.side), np.float32)
         for _ in range(MOST_PADS):
             height, width = rng.integers(1, MAX_PAD + 1, 2)
-            sides_left = np.array([self.side - height, self.side - width])
-            row, col = rng.integers(0, sides_left + 1)
+            most_row_col = np.array([self.side - height, self.side - width])
+            row, col = rng.integers(0, most_row_col + 1)
             trial = truth.copy()
             trial[row : row + height, col : col + width] = rng.uniform(0.2, 1.5)
             # Coefficients that are rounding alone do not count.
@@ -289,6 +303,7 @@ class PadFrames:
             count = np.count_nonzero(sizes > 1e-5 * PAPER_F_MAX_N)
             if count <= self.n_coefficients:
                 truth = trial
+                # Near enough: the next pad would hardly fit.
                 if count > 0.9 * self.n_coefficients:
                     break
         return truth
@@ -316,8 +331,12 @@ class RecordedFrames:
 
 
 _KINDS = (
-    *(SceneFrames, PressFrames, MeetingFrames),
-    *(UntouchedFrames, PadFrames, RecordedFrames),
+    SceneFrames,
+    PressFrames,
+    MeetingFrames,
+    UntouchedFrames,
+    PadFrames,
+    RecordedFrames,
 )
 KINDS = {kind.__name__: kind for kind in _KINDS}
 """Sources by the names with which points state them."""
@@ -331,7 +350,9 @@ def stated(frames: Frames) -> dict[str, Any]:
 def opened(point: Mapping[str, Any]) -> Take:
     """Open the frames of a point: frames (kind, and its fields) and seed."""
     fields = dict(point["frames"])
-    return KINDS[fields.pop("kind")](**fields).open(point["seed"])
+    kind = KINDS[fields.pop("kind")]
+    frames = kind(**fields)
+    return frames.open(point["seed"])
 
 
 class Part(NamedTuple):
@@ -367,17 +388,26 @@ def part_of(path: str, n_most: int) -> Part:
         counts = f"{len(truth)} frames of true forces, but {len(frames)} of readings"
         raise SparseskinError(f"{path}: {counts}")
     mask = read.get("mask", np.ones(frames.shape[1:], dtype=np.bool_))
+
+    # Of true forces, and of the frames in which anything touches the skin.
     flat = truth[:, mask].astype(np.float64)
     norms = np.linalg.norm(flat, axis=1)
     totals = flat.sum(axis=1)
     touched = norms > 0
     if not touched.any():
         raise SparseskinError(f"{path}: nothing touches the skin, all readings are 0")
+    # Not the largest one: a single spike would set the scale.
     norm = float(np.percentile(norms[touched], 95))
     begin = _busiest(norms > LOADED * norm, n_most)
     part = slice(begin, begin + n_most)
-    spacing_ms = 1e3 / float(read["rate_hz"]) if "rate_hz" in read else None
-    pitch_mm = 1e3 * float(read["pitch_m"]) if "pitch_m" in read else None
+
+    # A recording may state neither.
+    spacing_ms = None
+    if "rate_hz" in read:
+        spacing_ms = 1e3 / float(read["rate_hz"])
+    pitch_mm = None
+    if "pitch_m" in read:
+        pitch_mm = 1e3 * float(read["pitch_m"])
     return Part(
         frames[part],
         truth[part],

@@ -63,7 +63,11 @@ class Measurement:
     @property
     def of_compressor(self) -> dict[str, Any]:
         """Settings of a compressor beside the ratio."""
-        return {"rows": self.rows, "phi": self.phi, "block": self.block}
+        return {
+            "rows": self.rows,
+            "phi": self.phi,
+            "block": self.block,
+        }
 
 
 @dataclass(frozen=True)
@@ -89,20 +93,27 @@ class Candidate:
         """
         at = replace(measurement, **self.changes)
         mask = take.mask
-        ratio = int(at.ratio)
-        if self.of != "solver":
-            makers: dict[str, Callable[[], Estimator]] = {
-                "reading": lambda: Reading(**self.settings),
-                "filtered": lambda: Filtered(NoiseModel.for_range(take.f_max)),
-                "lattice": lambda: Lattice(mask, ratio),
-                "hold": lambda: Hold(mask, ratio),
-                "larger": lambda: LargerTaxels(mask, max(1, m_of(take.n, at.ratio))),
-                "tv": lambda: self._variation(at, take, seed),
-                "library": lambda: self._library(at, take, seed),
-                **{kind: lambda: Codec(mask, take.f_max, self.of) for kind in CODECS},
-            }
-            return makers[self.of]()
-        return self._method(at, take, seed)
+        if self.of in CODECS:
+            return Codec(mask, take.f_max, self.of)
+        match self.of:
+            case "solver":
+                return self._method(at, take, seed)
+            case "reading":
+                return Reading(**self.settings)
+            case "filtered":
+                return Filtered(NoiseModel.for_range(take.f_max))
+            case "lattice":
+                return Lattice(mask, int(at.ratio))
+            case "hold":
+                return Hold(mask, int(at.ratio))
+            case "larger":
+                m = max(1, m_of(take.n, at.ratio))
+                return LargerTaxels(mask, m)
+            case "tv":
+                return self._variation(at, take, seed)
+            case "library":
+                return self._library(at, take, seed)
+        raise StudyError(f"a candidate is of {self.of!r}, which is no estimator")
 
     def _method(self, at: Measurement, take: Take, seed: int) -> Estimator:
         """A solver of measurements."""
@@ -137,7 +148,8 @@ class Candidate:
     def _library(self, at: Measurement, take: Take, seed: int) -> Estimator:
         lambda_n = self.settings["lambda_n"] * take.f_max / PAPER_F_MAX_N
         basis = make_basis("haar", *take.mask.shape)
-        problem = Bpdn(_first_phi(at, take, seed), basis, lambda_n, take.sigma_end)
+        phi = _first_phi(at, take, seed)
+        problem = Bpdn(phi, basis, lambda_n, take.sigma_end)
         return Library(self.settings["name"], problem, self.settings["iterations"])
 
 
@@ -149,7 +161,11 @@ def _first_phi(at: Measurement, take: Take, seed: int) -> Phi:
     """Measurement matrix of the first frame of a take."""
     n_rows, n_cols = take.mask.shape
     skin = Skin(n_rows, n_cols, take.f_max, mask=take.mask)
-    settings = CompressorSettings(ratio=at.ratio, seed=seed, **at.of_compressor)
+    settings = CompressorSettings(
+        ratio=at.ratio,
+        seed=seed,
+        **at.of_compressor,
+    )
     return settings.phis(skin)[0]
 
 
@@ -170,18 +186,26 @@ class Experiment:
 
     def points(self) -> list[dict[str, Any]]:
         """Points as `scored` takes them."""
-        candidates = {name: asdict(each) for name, each in self.candidates.items()}
+        candidates = {}
+        for name, candidate in self.candidates.items():
+            candidates[name] = asdict(candidate)
         groups = [candidates]
         if self.timed:
             # Alone: candidates of one point run in turn.
             groups = [{name: candidate} for name, candidate in candidates.items()]
-        frames = map(stated, self.frames)
+        sources = map(stated, self.frames)
         measurements = map(asdict, self.measurements)
-        keys = ("frames", "measurement", "candidates", "seed")
         points = []
-        for values in product(frames, measurements, groups, self.seeds):
-            point = dict(zip(keys, values, strict=True))
-            points.append({**point, "scores": list(self.scores)})
+        combinations = product(sources, measurements, groups, self.seeds)
+        for frames, measurement, group, seed in combinations:
+            point = {
+                "frames": frames,
+                "measurement": measurement,
+                "candidates": group,
+                "seed": seed,
+                "scores": list(self.scores),
+            }
+            points.append(point)
         return points
 
     def run(self, out: Path, executor: str) -> pd.DataFrame:
@@ -193,8 +217,12 @@ class Experiment:
         if self.timed:
             executor = TIMED_ON
         results = compute(scored, points, out, executor, self.label)
-        keys = [{**p["frames"], **p["measurement"], "seed": p["seed"]} for p in points]
-        return method_rows(keys, results).drop(columns="kind", errors="ignore")
+        keys = []
+        for point in points:
+            fields = point["frames"] | point["measurement"]
+            keys.append(fields | {"seed": point["seed"]})
+        rows = method_rows(keys, results)
+        return rows.drop(columns="kind", errors="ignore")
 
 
 def scored(point: dict[str, Any]) -> dict[str, Any]:
@@ -206,22 +234,27 @@ def scored(point: dict[str, Any]) -> dict[str, Any]:
     mask = None if take.mask.all() else take.mask
     scores = {}
     estimators = {}
-    for name, of in point["candidates"].items():
+    for name, fields in point["candidates"].items():
         scores[name] = Scores(take.f_max, mask, take.norm, take.total)
+        candidate = Candidate(**fields)
         try:
-            estimators[name] = Candidate(**of).make(measurement, take, point["seed"])
+            estimators[name] = candidate.make(measurement, take, point["seed"])
         except SparseskinError as error:
             scores[name].refused = str(error)
+
+    # Between two parts frames are missing: what is carried from frame to frame is forgotten.
     for part in take.parts():
         for estimator in estimators.values():
             if isinstance(estimator, Method | Library):
                 estimator.reset()
         evaluate(estimators, part, scores, take.unscored)
+
     methods = {}
     for name, score in scores.items():
         figures = dict.fromkeys(point["scores"])
         if not score.refused:
-            figures = {of: SCORES[of](score) for of in figures}
+            for key in figures:
+                figures[key] = SCORES[key](score)
         methods[name] = {"refused": score.refused, **figures}
     return {"methods": methods}
 
@@ -237,7 +270,13 @@ def method_rows(
     rows = []
     for key, of_point in zip(keys, found, strict=True):
         for method, figures in of_point["methods"].items():
-            rows.append({**key, name: method, **figures})
+            rows.append(
+                {
+                    **key,
+                    name: method,
+                    **figures,
+                }
+            )
     return pd.DataFrame(rows)
 
 
@@ -249,19 +288,31 @@ def unrefused(rows: pd.DataFrame) -> pd.DataFrame:
 
 
 def _mean(values: Sequence[float | bool], times: float = 1.0) -> float | None:
-    return times * float(np.mean(values)) if len(values) else None
+    if not len(values):
+        return None
+    return times * float(np.mean(values))
 
 
 def _percentile(
     values: Sequence[float], percent: float, times: float = 1.0
 ) -> float | None:
-    return times * float(np.percentile(values, percent)) if values else None
+    if not values:
+        return None
+    return times * float(np.percentile(values, percent))
 
 
 def _firsts(scores: Scores) -> list[bool]:
     """Marks of the contact frames whose last one was not in contact."""
-    pairs = pairwise([False, *scores.contact])
-    return [touches and not touched for touched, touches in pairs]
+    marks = []
+    for was_touched, is_touched in pairwise([False, *scores.contact]):
+        marks.append(is_touched and not was_touched)
+    return marks
+
+
+def _first_db(scores: Scores) -> list[float]:
+    """PSNR of the first frames of contacts, dB."""
+    frames = zip(scores.psnr_db, _firsts(scores), strict=True)
+    return [psnr_db for psnr_db, is_first in frames if is_first]
 
 
 def _touched_mn(scores: Scores) -> float | None:
@@ -284,16 +335,21 @@ def _marked(scores: Scores) -> list[float]:
 
 
 def _of_contact(score: Callable[[Scores], Any]) -> Callable[[Scores], Any]:
-    return lambda scores: score(scores) if scores.contact_db else None
+    """That score, None where no frame is in contact."""
+
+    def of_contact(scores: Scores) -> Any:
+        if not scores.contact_db:
+            return None
+        return score(scores)
+
+    return of_contact
 
 
 SCORES: dict[str, Callable[[Scores], Any]] = {
     # PSNR of contact frames, dB: mean, least, mean of the first frames of contacts; of each frame.
     "mean_db": lambda s: _mean(s.contact_db),
     "min_db": _of_contact(lambda s: min(s.contact_db)),
-    "first_db": lambda s: _mean(
-        [db for db, is_first in zip(s.psnr_db, _firsts(s), strict=True) if is_first]
-    ),
+    "first_db": lambda s: _mean(_first_db(s)),
     "psnr_db": lambda s: [round(db, 3) for db in s.psnr_db],
     "highest_db": lambda s: max(s.psnr_db),
     # Root mean square error of the touched taxels in contact frames, millinewtons.

@@ -64,21 +64,31 @@ class Variant:
     def frames(self) -> Iterator[Floats]:
         """True forces in N, float32 of shape (n_rows, n_cols), one for each frame."""
         average = MovingAverage(self.smoothing_steps, self.scene.shape)
-        for step, state in enumerate(SceneSource(self.scene, seed=0).states()):
+        f_max_n = np.float32(self.scene.f_max_n)
+        source = SceneSource(self.scene, seed=0)
+        for step, state in enumerate(source.states()):
+            # Of finer steps, those at the times of the scene's own.
             if step % self.finer == 0:
                 state.write_forces(average.newest)
-                yield np.minimum(average.step(), np.float32(self.scene.f_max_n))
+                yield np.minimum(average.step(), f_max_n)
 
 
 def variants(scene: Scene) -> dict[str, Variant]:
     """All variants of a scene, by name."""
     surface = scene.surface
     grounded = surface.ground_drop_m is not None
+    # The same body under taxels without a radius.
     needles = next(body(0.0) for body in BODIES if body(TAXEL_RADIUS_M) is scene.body)
-    other_ground = replace(surface, ground_drop_m=None) if grounded else SKIN_ON_GROUND
-    steps = FINER * scene.n_steps
-    step_ns = scene.dt_ns // FINER
-    finer = Variant(False, replace(scene, n_steps=steps, dt_ns=step_ns), finer=FINER)
+    other_ground = SKIN_ON_GROUND
+    if grounded:
+        other_ground = replace(surface, ground_drop_m=None)
+    # The same time in more steps.
+    in_finer_steps = replace(
+        scene,
+        n_steps=FINER * scene.n_steps,
+        dt_ns=scene.dt_ns // FINER,
+    )
+    finer = Variant(False, in_finer_steps, finer=FINER)
     undamped = replace(surface, damping=0.0)
     variants = {
         "damping of the skin": Variant(True, replace(scene, surface=undamped)),
@@ -114,8 +124,8 @@ def measure(point: dict[str, Any]) -> dict[str, Any]:
     changes most; above_noise: share of the contact frames that change by more than the noise.
     """
     scene = SCENES[point["scene"]]()
-    n_steps = point["n_steps"]
-    scene = replace(scene, n_steps=min(n_steps or scene.n_steps, scene.n_steps))
+    n_steps = point["n_steps"] or scene.n_steps
+    scene = replace(scene, n_steps=min(n_steps, scene.n_steps))
     variant = variants(scene)[point["variant"]]
     noise_model = NoiseModel.for_range(scene.f_max_n)
     rng = np.random.default_rng(point["seed"])
@@ -123,10 +133,11 @@ def measure(point: dict[str, Any]) -> dict[str, Any]:
     noises = []
     unchanged = Variant(True, scene)
     for ours, theirs in zip(unchanged.frames(), variant.frames(), strict=True):
+        # A body that lands earlier touches in one of them alone.
         if any(in_contact(frame, scene.f_max_n) for frame in (ours, theirs)):
             noise = noise_model.apply(ours, rng) - ours
-            changes.append(float(np.mean(np.square(theirs - ours), dtype=np.float64)))
-            noises.append(float(np.mean(np.square(noise), dtype=np.float64)))
+            changes.append(_mean_square(theirs - ours))
+            noises.append(_mean_square(noise))
     above = [change > noise for change, noise in zip(changes, noises, strict=True)]
     return {
         "carried": variant.carried,
@@ -137,9 +148,15 @@ def measure(point: dict[str, Any]) -> dict[str, Any]:
     }
 
 
+def _mean_square(difference: Floats) -> float:
+    return float(np.mean(np.square(difference), dtype=np.float64))
+
+
 def decibels(error: float, f_max_n: float) -> float:
     """PSNR of a mean squared difference in N^2, at most 100 dB."""
-    return float(10.0 * np.log10(f_max_n**2 / max(error, f_max_n**2 * 1e-10)))
+    # 100 dB is a part of 10^-10.
+    lowest = f_max_n**2 * 1e-10
+    return float(10.0 * np.log10(f_max_n**2 / max(error, lowest)))
 
 
 def points(quick: bool, seed: int) -> list[dict[str, Any]]:
@@ -148,7 +165,13 @@ def points(quick: bool, seed: int) -> list[dict[str, Any]]:
     points = []
     for scene in QUICK_SCENES if quick else SCENES:
         for variant in variants(SCENES[scene]()):
-            points.append({"scene": scene, "variant": variant, **common})
+            points.append(
+                {
+                    "scene": scene,
+                    "variant": variant,
+                    **common,
+                }
+            )
     return points
 
 
@@ -201,6 +224,7 @@ def summary(rows: pd.DataFrame) -> str:
     """Number of variants with each verdict, and names of those that should not be; as Markdown."""
     kinds = ("needed", "rightly left out", "kept", "left out", "superfluous", "missing")
     lines = [f"- {kind}: {(rows['verdict'] == kind).sum()}" for kind in kinds]
+    # Those of the last two kinds contradict the scenes as they are.
     wrong = rows[rows["verdict"].isin(kinds[4:])]
     return "\n".join(lines + cells(wrong, "- **{verdict}**: {scene}: {variant}"))
 
@@ -238,7 +262,11 @@ def _draw(out: Path, rows: pd.DataFrame) -> str:
     caption = f"{quantity}: the further left, the larger."
     size_in = (9.5, 3.2 * -(-len(scenes) // 3) + 1.1)
     chart = Chart(
-        *(out, "scene-needs", caption, len(scenes), 3),
+        out,
+        "scene-needs",
+        caption,
+        len(scenes),
+        3,
         size_in=size_in,
         legend_columns=5,
     )
@@ -247,7 +275,11 @@ def _draw(out: Path, rows: pd.DataFrame) -> str:
             of_scene = rows[rows["scene"] == scene]
             _mark_noise(axes, of_scene["noise_db"].iloc[0], len(names))
             _draw_changes(axes, of_scene, names)
-            axes.set(xlim=CHANGES_DB, ylim=(-0.6, len(names) + 0.9), title=scene)
+            axes.set(
+                xlim=CHANGES_DB,
+                ylim=(-0.6, len(names) + 0.9),
+                title=scene,
+            )
             axes.set_yticks(range(len(names)), [""] * len(names) if k % 3 else names)
         chart.figure.suptitle(
             "What a scene needs: its frames with one term removed or added, against its own\n"
@@ -260,9 +292,18 @@ def _draw(out: Path, rows: pd.DataFrame) -> str:
 
 def _mark_noise(axes: Any, noise_db: float, n_names: int) -> None:
     """Shade the changes that are larger than the noise, and say what either side means."""
-    shade = {"color": "#dddddd", "zorder": 0, "label": "above the noise"}
+    shade = {
+        "color": "#dddddd",
+        "zorder": 0,
+        "label": "above the noise",
+    }
     axes.axvspan(CHANGES_DB[0], noise_db, **shade)
-    style = {"ha": "center", "va": "top", "color": "0.3", "fontsize": 8}
+    style = {
+        "ha": "center",
+        "va": "top",
+        "color": "0.3",
+        "fontsize": 8,
+    }
     texts = "above the noise:\nneeded", "below the noise:\ncan be left out"
     for edge, text in zip(CHANGES_DB, texts, strict=True):
         axes.text((edge + noise_db) / 2, n_names + 0.75, text, **style)
@@ -281,4 +322,11 @@ def _draw_changes(axes: Any, of_scene: pd.DataFrame, names: list[str]) -> None:
         axes.hlines(heights, worst, changes, color=colour, lw=1.0)
         axes.plot(changes, heights, marker, color=colour, label=label)
         label_of_worst = f"{label}: worst frame"
-        axes.plot(worst, heights, "|", color=colour, ms=9, label=label_of_worst)
+        axes.plot(
+            worst,
+            heights,
+            "|",
+            color=colour,
+            ms=9,
+            label=label_of_worst,
+        )

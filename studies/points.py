@@ -65,22 +65,38 @@ def compute(
     with _opened(out) as file:
         records = _read(file)
         figures_of_key = {key: record["figures"] for key, record in records.items()}
-        every = dict(zip(keys, map(dict, points), strict=True))
-        missing = {
-            key: point for key, point in every.items() if key not in figures_of_key
-        }
-        _log_known(
-            label,
-            set(keys),
-            [records[k]["code"] != code for k in set(keys) & set(figures_of_key)],
-        )
+        # Equal points, as of a sweep that meets its centre twice, are computed once.
+        missing = {}
+        for key, point in zip(keys, points, strict=True):
+            if key not in figures_of_key:
+                missing[key] = dict(point)
+        known_keys = set(keys) & set(figures_of_key)
+        is_other_code = [records[key]["code"] != code for key in known_keys]
+        _log_known(label, set(keys), is_other_code)
         name = f"{function.__module__}:{function.__qualname__}"
         names = {"label": label, "function": name}
         bare = not missing or not sys.stderr.isatty()
-        with tqdm(total=len(missing), desc=label, unit="point", disable=bare) as bar:
+        with tqdm(
+            total=len(missing),
+            desc=label,
+            unit="point",
+            disable=bare,
+        ) as bar:
             for key, figures in _computed(function, missing, executor_name):
-                origin = {"key": key, **names, "version": STUDY_VERSION, "code": code}
-                line = json.dumps({**origin, "point": missing[key], "figures": figures})
+                origin = {
+                    "key": key,
+                    **names,
+                    "version": STUDY_VERSION,
+                    "code": code,
+                }
+                line = json.dumps(
+                    {
+                        **origin,
+                        "point": missing[key],
+                        "figures": figures,
+                    }
+                )
+                # At once: a run may be killed at any time.
                 file.write(line.encode() + b"\n")
                 file.flush()
                 # As it would be read: lists for tuples, so that a resumed run has the same.
@@ -106,6 +122,7 @@ def compute_rows(
 
 def key_of(function: Function, label: str, point: Point) -> str:
     """Key of a point: SHA-256 of its label, function's name, parameters and the version."""
+    # Not the module: it may move.
     names = [label, function.__qualname__, STUDY_VERSION]
     text = json.dumps([*names, point], sort_keys=True, allow_nan=False)
     return hashlib.sha256(text.encode()).hexdigest()
@@ -139,6 +156,7 @@ def _opened(out: Path) -> Iterator[BinaryIO]:
     except OSError as error:
         raise StudyError(f"{path}: {error.strerror}") from error
     with file:
+        # Two runs would mix their lines.
         try:
             fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except OSError as error:
@@ -152,6 +170,7 @@ def _read(file: BinaryIO) -> dict[str, dict[str, Any]]:
     records: dict[str, dict[str, Any]] = {}
     whole = 0
     for line in file:
+        # The run before was killed as it wrote.
         if not line.endswith(b"\n"):
             break
         try:

@@ -28,7 +28,10 @@ N_BEFORE = 10
 """Untouched frames at the beginning."""
 RAMP = 20
 """Frames of a ramp from 0 to the full force."""
+N_JUMPS = 997
+"""Places of a sudden press before they come again."""
 _CHUNK = 32
+"""Frames that are computed at once. Chosen: arrays of them fit into a cache."""
 _LEAST_SIZE = 0.4
 """Least size of a body in taxels: a smaller one would vanish between two of them."""
 _LEAST_GAUSSIAN = 0.02
@@ -97,7 +100,9 @@ def press_frames(
     for truth in press.frames(n_frames):
         reading = truth.copy()
         if noise is not None:
-            reading.reshape(-1)[taxels] = noise.apply(truth.reshape(-1)[taxels], rng)
+            # Only where a taxel exists: noise is drawn for those alone.
+            forces = truth.reshape(-1)[taxels]
+            reading.reshape(-1)[taxels] = noise.apply(forces, rng)
         yield truth, reading
 
 
@@ -105,7 +110,9 @@ def scattered_mask(shape: tuple[int, int], n: int, seed: int) -> Mask:
     """Return a mask of n cells at random places of a grid, where alone taxels exist."""
     size = math.prod(shape)
     mask = np.zeros(size, dtype=np.bool_)
-    mask[np.random.default_rng([seed, 3]).permutation(size)[:n]] = True
+    rng = np.random.default_rng([seed, 3])
+    cells = rng.permutation(size)[:n]
+    mask[cells] = True
     return mask.reshape(shape)
 
 
@@ -137,41 +144,62 @@ class _Press:
         self._peaks = f_max * rng.uniform(0.2, 0.9, n)
         # A path and a place of its own for each fingertip; one for all parts of another body.
         self._n_paths = n if body == "fingertips" else 1
-        spread = np.linspace(0, 2 * np.pi, self._n_paths, endpoint=False)
-        spread += rng.uniform(0, 7)
-        circle = np.stack([np.sin(spread), np.cos(spread)], axis=-1)
-        self._anchors = 0.28 * self._sides * circle * (self._n_paths > 1)
-        angle = rng.uniform(0, 2 * np.pi, self._n_paths)
-        along = np.stack([np.sin(angle), np.cos(angle)], axis=-1)
-        along[:, self._sides == 1] = 0
-        along /= np.maximum(np.linalg.norm(along, axis=-1, keepdims=True), 1e-9)
-        self._velocity = speed * along
+        self._anchors = self._draw_anchors(rng)
+        self._velocity = speed * self._draw_directions(rng)
         self._turned = rng.uniform(0, np.pi)
-        if is_line := min(mask.shape) == 1:
+        is_line = min(mask.shape) == 1
+        if is_line:
             # What lies beside a line of taxels is not felt.
             self._turned = 0.0 if mask.shape[0] == 1 else np.pi / 2
             self._beside[:, 1] = 0
             self._anchors[:, self._sides == 1] = 0
+
         self._size = self._fitted(active)
-        highest = float(self._at_middle().max())
         # A body smaller than a taxel covers a part of it alone.
-        self._peaks *= min(3.0, self._peaks.max() / max(highest, 1e-9 * f_max))
+        highest = max(float(self._at_middle().max()), 1e-9 * f_max)
+        self._peaks *= min(3.0, self._peaks.max() / highest)
+
         # Half of the way that a body may move, so that most of it stays on the skin.
-        self._reach = np.maximum(1.0, 0.5 * self._sides * (1 - math.sqrt(active)))
+        way = self._sides * (1 - math.sqrt(active))
+        self._reach = np.maximum(1.0, 0.5 * way)
         self._start = rng.uniform(0, 4, (1, 2)) * self._reach
-        self._turning = float(rng.choice([-1, 1])) * 0.5 * speed / max(1.0, self._size)
-        self._turning *= not is_line
-        self._jumps = rng.uniform(-0.7, 0.7, (997, 1, 2)) * self._reach
+        # The rim turns half as fast as the body moves; the sign is drawn for a line, too.
+        sign = float(rng.choice([-1, 1]))
+        self._turning = 0.0
+        if not is_line:
+            self._turning = sign * 0.5 * speed / max(1.0, self._size)
+        self._jumps = rng.uniform(-0.7, 0.7, (N_JUMPS, 1, 2)) * self._reach
         for along_line in (self._start, self._jumps):
             along_line[..., self._sides == 1] = 0
+
+    def _draw_anchors(self, rng: np.random.Generator) -> Doubles:
+        """Places of the paths about the middle of the body, (paths, 2): on a circle."""
+        angles = np.linspace(0, 2 * np.pi, self._n_paths, endpoint=False)
+        angles += rng.uniform(0, 7)
+        circle = np.stack([np.sin(angles), np.cos(angles)], axis=-1)
+        anchors: Doubles = 0.28 * self._sides * circle
+        # One path alone is at the middle.
+        return anchors * (self._n_paths > 1)
+
+    def _draw_directions(self, rng: np.random.Generator) -> Doubles:
+        """Unit vectors of the paths, (paths, 2); along a line of taxels, if they are one."""
+        angles = rng.uniform(0, 2 * np.pi, self._n_paths)
+        directions = np.stack([np.sin(angles), np.cos(angles)], axis=-1)
+        directions[:, self._sides == 1] = 0
+        lengths = np.linalg.norm(directions, axis=-1, keepdims=True)
+        units: Doubles = directions / np.maximum(lengths, 1e-9)
+        return units
 
     def frames(self, n_frames: int) -> Iterator[Floats]:
         """Yield the true forces, some frames computed at once."""
         for begin in range(0, n_frames, _CHUNK):
             k = np.arange(begin, min(begin + _CHUNK, n_frames))
-            forces = self._forces(self._places(k), self._angles(k), self._strength(k))
+            places = self._places(k)
+            angles = self._angles(k)
+            forces = self._forces(places, angles, self._strength(k))
             for force in forces:
-                yield np.where(self._mask, force, 0).astype(np.float32)
+                of_taxels = np.where(self._mask, force, 0)
+                yield of_taxels.astype(np.float32)
 
     def _strength(self, k: Indices) -> Doubles:
         """Part of the full force in frames k."""
@@ -183,7 +211,8 @@ class _Press:
             phase = since % (2 * timing.ramp + timing.pause)
             rising = phase + 1
             falling = 2 * timing.ramp - phase - 1
-            part = np.clip(np.minimum(rising, falling) / timing.ramp, 0, 1)
+            n_frames = np.minimum(rising, falling)
+            part = np.clip(n_frames / timing.ramp, 0, 1)
         else:
             phase = since % (timing.contact + timing.pause)
             part = np.where(phase < timing.contact, 1.0, 0.0)
@@ -197,9 +226,11 @@ class _Press:
             # A triangle wave has the same speed all the way.
             way = self._start + self._velocity * k[:, None, None]
             period = 4 * self._reach
-            bent = np.abs((way + self._reach) % period - 2 * self._reach)
+            phase = (way + self._reach) % period
+            bent = np.abs(phase - 2 * self._reach)
             moved: Doubles = middle + bent - self._reach
             return moved
+
         timing = self._timing
         turn = 0 * k
         if self._course == "sudden":
@@ -215,18 +246,21 @@ class _Press:
 
     def _forces(self, places: Doubles, angles: Doubles, strength: Doubles) -> Doubles:
         """Forces on all cells, (frames, rows, columns)."""
-        cos, sin = (of(angles)[:, None, None] for of in (np.cos, np.sin))
+        cos = np.cos(angles)[:, None, None]
+        sin = np.sin(angles)[:, None, None]
         force = np.zeros((len(places), *self._mask.shape))
-        fields = zip(self._fields, self._peaks, strict=True)
-        for part, (field, peak) in enumerate(fields):
+        size = self._size
+        for part, field in enumerate(self._fields):
+            # Where all parts have one path, it is the first.
             path = part if self._n_paths > 1 else 0
             place = places[:, path] + self._anchors[path]
             i = self._i - place[:, 0, None, None]
             j = self._j - place[:, 1, None, None]
+
             # The middle of a part is in units of the size of the body.
-            u = (cos * j + sin * i) / self._size - self._beside[part, 0]
-            v = (cos * i - sin * j) / self._size - self._beside[part, 1]
-            of_part = peak * field(u * self._size, v * self._size, self._size)
+            u = (cos * j + sin * i) / size - self._beside[part, 0]
+            v = (cos * i - sin * j) / size - self._beside[part, 1]
+            of_part = self._peaks[part] * field(u * size, v * size, size)
             np.maximum(force, of_part, out=force)
         force *= strength[:, None, None]
         return np.minimum(force, self._f_max, out=force)
@@ -246,9 +280,11 @@ class _Press:
 
     def _at_middle(self) -> Doubles:
         """Full forces of the existing taxels with the body in the middle of the skin."""
-        middle = np.broadcast_to((self._sides - 1) / 2, (1, self._n_paths, 2))
-        forces: Doubles = self._forces(middle, np.array([self._turned]), np.ones(1))[0]
-        of_taxels: Doubles = forces[self._mask]
+        middle = (self._sides - 1) / 2
+        places = np.broadcast_to(middle, (1, self._n_paths, 2))
+        angles = np.array([self._turned])
+        forces = self._forces(places, angles, np.ones(1))
+        of_taxels: Doubles = forces[0, self._mask]
         return of_taxels
 
 
@@ -260,27 +296,36 @@ def _edge(distance: Doubles) -> Doubles:
 def _make(body: str, rng: np.random.Generator) -> tuple[list[Field], Doubles]:
     """Return the parts of a body, and the middle of each in units of the body's size."""
     if body == "plate":
-        plate = _box(1.0, rng.uniform(0.4, 1.0), rng.uniform(-0.3, 0.3))
-        return [plate], np.zeros((1, 2))
+        half_width = rng.uniform(0.4, 1.0)
+        tilt = rng.uniform(-0.3, 0.3)
+        return [_box(1.0, half_width, tilt)], np.zeros((1, 2))
     if body == "peg":
         return [_disc(1.0)], np.zeros((1, 2))
     if body == "wrench":
+        handle = _box(1.0, 0.12, 0.2)
+        jaw = _box(0.1, 0.3, 0.0)
         finger = _box(0.15, 0.09, 0.0)
-        parts = [_box(1.0, 0.12, 0.2), _box(0.1, 0.3, 0.0), finger, finger]
-        return parts, np.array([[0.0, 0.0], [1.0, 0.0], [1.2, 0.22], [1.2, -0.22]])
+        middles = [[0.0, 0.0], [1.0, 0.0], [1.2, 0.22], [1.2, -0.22]]
+        return [handle, jaw, finger, finger], np.array(middles)
     if body == "fingertips":
         n = int(rng.integers(3, 6))
-        return [_dome(rng.uniform(0.5, 1.0)) for _ in range(n)], np.zeros((n, 2))
+        fields = [_dome(rng.uniform(0.5, 1.0)) for _ in range(n)]
+        return fields, np.zeros((n, 2))
     n = int(rng.integers(1, 4))
-    fields = [_gaussian(rng.uniform(0.4, 1.0), rng.uniform(0.4, 1.0)) for _ in range(n)]
+    sizes = rng.uniform(0.4, 1.0, (n, 2))
+    fields = [_gaussian(a, b) for a, b in sizes.tolist()]
+    # One press alone is at the middle.
     return fields, rng.uniform(-1.0, 1.0, (n, 2)) * (n > 1)
 
 
 def _box(a: float, b: float, tilt: float) -> Field:
     def field(u: Doubles, v: Doubles, size: float) -> Doubles:
-        flat = _edge(np.abs(u) - a * size) * _edge(np.abs(v) - b * size)
+        cover_u = _edge(np.abs(u) - a * size)
+        cover_v = _edge(np.abs(v) - b * size)
+        # Its higher end has the full force.
         slope = np.clip(u / max(a * size, 0.5), -1, 1)
-        return flat * (1 - abs(tilt) + tilt * slope)
+        level = 1 - abs(tilt) + tilt * slope
+        return cover_u * cover_v * level
 
     return field
 
@@ -293,17 +338,20 @@ def _dome(radius: float) -> Field:
     def field(u: Doubles, v: Doubles, size: float) -> Doubles:
         # Pressure under a sphere, Hertz 1881; at least half a taxel wide, so that it is not lost.
         r2 = (u * u + v * v) / max(radius * size, 0.75) ** 2
-        return np.asarray(np.sqrt(np.maximum(0, 1 - r2)))
+        depth = np.maximum(0, 1 - r2)
+        return np.asarray(np.sqrt(depth))
 
     return field
 
 
 def _gaussian(a: float, b: float) -> Field:
     def field(u: Doubles, v: Doubles, size: float) -> Doubles:
+        # At least 0.3 taxels wide, so that it is not lost between two of them.
         wide = max(a * size, 0.3)
         high = max(b * size, 0.3)
-        bell = np.exp(-0.5 * ((u / wide) ** 2 + (v / high) ** 2))
-        return np.asarray(np.maximum(0, bell - _LEAST_GAUSSIAN) / (1 - _LEAST_GAUSSIAN))
+        squares = (u / wide) ** 2 + (v / high) ** 2
+        above = np.exp(-0.5 * squares) - _LEAST_GAUSSIAN
+        return np.asarray(np.maximum(0, above) / (1 - _LEAST_GAUSSIAN))
 
     return field
 

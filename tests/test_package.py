@@ -188,7 +188,7 @@ def test_imports_form_no_circle_and_run_one_way():
 SENSOR = "sparseskin.nodes.sensor."
 SENSOR_LAYERS = (
     *("layout", "device_clock", "noise", "sign", "saturation", "missing"),
-    *("calibration", "doubt", "zero", "source", "points", "skin_file"),
+    *("repetition", "calibration", "doubt", "zero", "source", "points", "skin_file"),
     *("files", "driver", "scenes", "sources", "raw_frames", "settings", "node"),
 )
 """Modules and folders of the sensor, the lowest first."""

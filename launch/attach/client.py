@@ -102,7 +102,12 @@ def ask_node(graph: RunningGraph, node: str, command: str, value: Any) -> str:
     """Send a command to a node, and return its answer.
     Raises GraphError if the node refuses, or the graph does not answer.
     """
-    request = {"id": "1", "node": node, "command": command, "value": value}
+    request = {
+        "id": "1",
+        "node": node,
+        "command": command,
+        "value": value,
+    }
     with closing(ControlClient(graph.control)) as client:
         # A node answers between two frames, which may take it a while.
         answer = _exchange(graph, client, request, "answer")

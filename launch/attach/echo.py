@@ -43,7 +43,12 @@ def plain(value: Any, full: bool) -> Any:
     if full:
         return summary | {"data": value.tolist()}
     if not value.size:
-        return summary | {"min": None, "mean": None, "max": None, "first": []}
+        return summary | {
+            "min": None,
+            "mean": None,
+            "max": None,
+            "first": [],
+        }
 
     # Means of whole numbers and flags are wanted, too.
     numbers = value.astype(np.float64)

@@ -82,7 +82,11 @@ def figures_of(samples: Longs) -> Document:
     delay = _extent(delays_ms)
     if delay is not None:
         p50, p99 = np.quantile(delays_ms, [0.5, 0.99])
-        delay = {"p50": float(p50), "p99": float(p99), **delay}
+        delay = {
+            "p50": float(p50),
+            "p99": float(p99),
+            **delay,
+        }
 
     each_counts_one = np.ones_like(steps)
     return {
@@ -178,9 +182,22 @@ class Meter(Display):
         n = self._samples.n
         lost = self._samples.lost
         if self._in_json:
-            head = {"topic": self._topic, "messages": n, "lost": lost}
+            head = {
+                "topic": self._topic,
+                "messages": n,
+                "lost": lost,
+            }
             over = {"over": len(samples), "final": window is None}
-            return json.dumps(formatted("topic-hz", {**head, **figures, **over}))
+            return json.dumps(
+                formatted(
+                    "topic-hz",
+                    {
+                        **head,
+                        **figures,
+                        **over,
+                    },
+                )
+            )
 
         measured = text_of(figures) or "too few messages for a rate"
         line = f"{measured} | lost {lost}"

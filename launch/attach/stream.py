@@ -117,6 +117,7 @@ class TopicStream:
         keys = None
         if graph.key_file:
             keys = read_key_pair(Path(graph.key_file))
+        # What waits in this process is older than what waits at the writer.
         ahead = QUEUE_FRAMES
         if newest:
             ahead = NEWEST_ALONE
@@ -193,6 +194,7 @@ class TopicStream:
             if remaining_s <= 0:
                 return
             if self.graph_has_ended():
+                # What it sent last is still on its way through the socket.
                 yield self.read()
                 return
 
@@ -202,6 +204,7 @@ class TopicStream:
         """Wait for messages, and while they wait to be read together; return the time at which the
         first one came, where that is known.
         """
+        # Not 0: it would be a loop that never sleeps.
         timeout_ms = max(1, round(min(POLL_MS, 1e3 * remaining_s)))
         # Only where nothing waited before is the time of the first arrival known.
         is_idle = self._drained and not self._reader.socket.poll(0)
@@ -300,6 +303,7 @@ def observe(
             if ended:
                 break
             display.tick()
+    # Who asked for fewer has them all.
     if ended and n_counted != n:
         print(f"{topic}: the stream has ended", file=sys.stderr)
     if not n_counted:
@@ -315,6 +319,7 @@ def unit_of(graph: RunningGraph, topic: str) -> str:
     skin = f"/{patch}/{SkinState.schema}"
     if skin not in graph.writers():
         return ""
+    # It is latched: it comes at once where there is one.
     with TopicStream(graph, skin) as stream:
         for arrival in itertools.chain.from_iterable(stream.batches(1.0)):
             if arrival.ends:

@@ -256,4 +256,9 @@ def subscribe(
             for message in contacts:
                 print(message.total, message.trusted[0], contacts.age_s, contacts.skipped)
     """
-    return Subscription(topic, graph=graph, newest=newest, timeout_s=timeout_s)
+    return Subscription(
+        topic,
+        graph=graph,
+        newest=newest,
+        timeout_s=timeout_s,
+    )

@@ -50,16 +50,31 @@ def configure(parser: argparse.ArgumentParser) -> None:
     )
 
     info = add("info", _info, "print what a recording holds")
-    info.add_argument("bag", metavar="F.mcap", type=Path, help=f"NAME{FILE_SUFFIX}")
+    info.add_argument(
+        "bag",
+        metavar="F.mcap",
+        type=Path,
+        help=f"NAME{FILE_SUFFIX}",
+    )
     info.add_argument(
         "--json", action="store_true", help="print JSON in place of a table"
     )
 
     recover = add("recover", _recover, "save the readable part of a broken recording")
     about = f"NAME{FILE_SUFFIX}[{PART_SUFFIX}]"
-    recover.add_argument("bag", metavar="F.mcap", type=Path, help=about)
+    recover.add_argument(
+        "bag",
+        metavar="F.mcap",
+        type=Path,
+        help=about,
+    )
     about = f"default: NAME_recovered{FILE_SUFFIX}"
-    recover.add_argument("--out", metavar="NEW", type=Path, help=about)
+    recover.add_argument(
+        "--out",
+        metavar="NEW",
+        type=Path,
+        help=about,
+    )
 
     _configure_import(add("import", _import, "make a recording of a file of frames"))
     about = "convert a recording to NumPy, CSV or the format of another tool"
@@ -68,19 +83,41 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 def _configure_export(export: argparse.ArgumentParser) -> None:
     about = f"NAME{FILE_SUFFIX}; several for lerobot, zarr: an episode each"
-    export.add_argument("bags", metavar="F.mcap", type=Path, nargs="+", help=about)
     export.add_argument(
-        "--to", choices=export_names(), required=True, help="the format"
+        "bags",
+        metavar="F.mcap",
+        type=Path,
+        nargs="+",
+        help=about,
+    )
+    export.add_argument(
+        "--to",
+        choices=export_names(),
+        required=True,
+        help="the format",
     )
     names = "NAME.npz, NAME_csv, NAME_ros2"
     about = f"default: NAME and the ending of the format, as {names}"
-    export.add_argument("--out", metavar="PATH", type=Path, help=about)
+    export.add_argument(
+        "--out",
+        metavar="PATH",
+        type=Path,
+        help=about,
+    )
     about = "only these topics; default: all with frames"
-    export.add_argument("--topics", metavar="TOPIC", nargs="+", help=about)
+    export.add_argument(
+        "--topics",
+        metavar="TOPIC",
+        nargs="+",
+        help=about,
+    )
     for name, option in _export_options().items():
         about = f"of {', '.join(option.exports)}: {option.about}"
         rare(export).add_argument(
-            f"--{name}", metavar=option.metavar, type=option.kind, help=about
+            f"--{name}",
+            metavar=option.metavar,
+            type=option.kind,
+            help=about,
         )
 
 
@@ -111,23 +148,43 @@ def _configure_import(parser: argparse.ArgumentParser) -> None:
     # Plug-ins add formats, so that the list is made here.
     parser.description = f"{parser.description} Formats: {formats}."
     parser.add_argument(
-        "files", metavar="FILE", nargs="+", type=_path, help="the recording"
+        "files",
+        metavar="FILE",
+        nargs="+",
+        type=_path,
+        help="the recording",
     )
     about = f"the recording, NAME{FILE_SUFFIX}; or a folder, for one a FILE"
-    parser.add_argument("--out", metavar="PATH", required=True, help=about)
+    parser.add_argument(
+        "--out",
+        metavar="PATH",
+        required=True,
+        help=about,
+    )
     add_layout(parser)
     about = (
         "first frames, of the untouched skin, whose median is the reading at rest, and which are "
         "left out; 0: readings are forces, whatever the untouched skin reads"
     )
     parser.add_argument(
-        "--tare", metavar="N", type=whole(0, MAX_TARE_FRAMES), help=about
+        "--tare",
+        metavar="N",
+        type=whole(0, MAX_TARE_FRAMES),
+        help=about,
     )
     about = "further channels, as x,y: each becomes a patch of its own, skin_x"
-    rare(parser).add_argument("--keep", metavar="CHANNELS", default="", help=about)
+    rare(parser).add_argument(
+        "--keep",
+        metavar="CHANNELS",
+        default="",
+        help=about,
+    )
     about = "readings fall with force: a force is the reading at rest less the reading"
     rare(parser).add_argument(
-        "--invert", choices=("true", "false"), default="false", help=about
+        "--invert",
+        choices=("true", "false"),
+        default="false",
+        help=about,
     )
 
 

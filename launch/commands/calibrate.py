@@ -76,24 +76,46 @@ def _add_presses(
 ) -> None:
     """Options of the file that is written, of untouched frames, and of presses."""
     about = "file to write, NAME.toml; large arrays lie beside it in NAME.npz"
-    parser.add_argument("--out", metavar="F.toml", type=Path, required=True, help=about)
+    parser.add_argument(
+        "--out",
+        metavar="F.toml",
+        type=Path,
+        required=True,
+        help=about,
+    )
     about = "untouched frames: the first seconds (3s), a part of a recording (5-8s), or a file"
-    parser.add_argument("--untouched", metavar="WHERE", default=UNTOUCHED, help=about)
+    parser.add_argument(
+        "--untouched",
+        metavar="WHERE",
+        default=UNTOUCHED,
+        help=about,
+    )
     about = (
         "a load and its frames, as 500g:12-15s, 4.9N:FILE; with an area that carries it evenly, as "
         "500g@all:FILE, 500g@4-11x8-15:12-15s (rows x columns); may be repeated"
     )
     parser.add_argument(
-        "--press", metavar="LOAD[@AREA]:WHERE", action="append", help=about
+        "--press",
+        metavar="LOAD[@AREA]:WHERE",
+        action="append",
+        help=about,
     )
     about = "ask nothing: take no presses, or those of --press"
     parser.add_argument("--no-questions", action="store_true", help=about)
     about = "live sources: seconds to wait before each step, in place of Enter"
     rarely_used.add_argument(
-        "--wait", metavar="S", type=real(above_0=False), help=about
+        "--wait",
+        metavar="S",
+        type=real(above_0=False),
+        help=about,
     )
     about = "even loads of several weights: one curve for all taxels, one each, or none"
-    rarely_used.add_argument("--curve", choices=CURVES, default=CURVES[0], help=about)
+    rarely_used.add_argument(
+        "--curve",
+        choices=CURVES,
+        default=CURVES[0],
+        help=about,
+    )
 
 
 def _add_readings(
@@ -105,18 +127,29 @@ def _add_readings(
     about = (
         "upper end of a taxel's range; default: 1.25 times the largest force of a press"
     )
-    parser.add_argument("--f-max", metavar="X", type=real(above_0=True), help=about)
+    parser.add_argument(
+        "--f-max",
+        metavar="X",
+        type=real(above_0=True),
+        help=about,
+    )
     about = (
         "unit of the readings where there are no presses; default: that of the source"
     )
     rarely_used.add_argument("--unit", help=about)
     about = "distance of neighbouring taxels; default: that of the source"
     rarely_used.add_argument(
-        "--pitch-mm", metavar="X", type=real(above_0=True), help=about
+        "--pitch-mm",
+        metavar="X",
+        type=real(above_0=True),
+        help=about,
     )
     about = "without a press: readings fall with force"
     rarely_used.add_argument(
-        "--invert", choices=("true", "false"), default="false", help=about
+        "--invert",
+        choices=("true", "false"),
+        default="false",
+        help=about,
     )
     about = "let the range begin below 0, so that noise around 0 is not clipped"
     rarely_used.add_argument("--keep-noise", action="store_true", help=about)
@@ -158,6 +191,7 @@ def _calibrate(arguments: argparse.Namespace) -> int:
         keep_noise=arguments.keep_noise,
         invert=invert,
     )
+    # Presses show the sign; without one, a touch in the rest of the recording may.
     if not presses and isinstance(reader, Recorded):
         line = line_on_sign(calibration.skin, reader.frames, invert)
         if line:
@@ -177,6 +211,7 @@ def _check_out(out: Path) -> None:
     """Raise an error if the file cannot be written, before a person has pressed."""
     if out.suffix != ".toml":
         raise SkinFileError(f"--out {out}: expected a name that ends in .toml")
+    # Arrays may lie beside it: a file of another skin must not be overwritten.
     for path in (out, out.with_suffix(".npz")):
         if path.exists():
             raise OutputError(f"--out {path}: {TAKEN}")
@@ -222,6 +257,7 @@ class _Steps:
         )
         at, area = answer or ("", None)
         label = f"{force:.4g}N{at}"
+        # A recording was made before: the person states where the press is in it.
         if self._reader.is_live:
             frames = self._frames(f"{STEP_S:g}s", f"Put {label} on")
         else:
@@ -271,6 +307,7 @@ class _Steps:
                     f"{where}: no such file; allowed: {PARTS}, or a file"
                 )
             return open_file(where, self._layout, raw=True).frames
+        # Of a live source the part is in the future.
         if self._reader.is_live:
             begin_s, end_s = part
             self._wait(f"{end_s - begin_s:g} s", request)
@@ -369,9 +406,19 @@ def configure_tare(parser: argparse.ArgumentParser) -> None:
         "untouched. Returns once it is done."
     )
     about = "names of sensors; all that have a calibration by default"
-    parser.add_argument("nodes", metavar="NODE", nargs="*", help=about)
+    parser.add_argument(
+        "nodes",
+        metavar="NODE",
+        nargs="*",
+        help=about,
+    )
     about = "number of frames, whose median is taken (default: 30)"
-    rare(parser).add_argument("--frames", metavar="N", type=whole(1), help=about)
+    rare(parser).add_argument(
+        "--frames",
+        metavar="N",
+        type=whole(1),
+        help=about,
+    )
     add_graph(parser, "one JSON document")
     parser.set_defaults(run=_tare)
 

@@ -127,9 +127,16 @@ def make_parser(words: Sequence[str], everything: bool = True) -> "_Parser":
         epilog="sparseskin COMMAND --help describes a command. With --all, help names commands\n"
         "and options that are rarely used, too.",
     )
-    parser.add_argument("--version", action=_Version, nargs=0, help="print the version")
+    parser.add_argument(
+        "--version",
+        action=_Version,
+        nargs=0,
+        help="print the version",
+    )
     commands = parser.add_subparsers(
-        prog="sparseskin", metavar="COMMAND", help=argparse.SUPPRESS
+        prog="sparseskin",
+        metavar="COMMAND",
+        help=argparse.SUPPRESS,
     )
     commands.required = True
     for name in names:

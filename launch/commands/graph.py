@@ -72,7 +72,12 @@ def configure_stop(parser: argparse.ArgumentParser) -> None:
         "second stop ends all nodes at once."
     )
     about = "which graph, where several run on this host"
-    parser.add_argument("graph", metavar="NAME|PID", nargs="?", help=about)
+    parser.add_argument(
+        "graph",
+        metavar="NAME|PID",
+        nargs="?",
+        help=about,
+    )
     parser.set_defaults(run=_stop)
 
 
@@ -211,7 +216,10 @@ def configure_param(parser: argparse.ArgumentParser) -> None:
     )
     listing = add("list", _list_settings, "list settings, and what each may be")
     listing.add_argument(
-        "node", metavar="NODE", nargs="?", help="name of a node; all by default"
+        "node",
+        metavar="NODE",
+        nargs="?",
+        help="name of a node; all by default",
     )
     get = add("get", _get, "print one setting")
     change = add("set", _set, "set one setting, or several at once")
@@ -222,7 +230,11 @@ def configure_param(parser: argparse.ArgumentParser) -> None:
         "value", metavar="VALUE", help="as in a launch file; none: not stated"
     )
     change.add_argument(
-        "more", metavar="KEY VALUE", nargs="*", default=[], help="further settings"
+        "more",
+        metavar="KEY VALUE",
+        nargs="*",
+        default=[],
+        help="further settings",
     )
     for command in (listing, get, change):
         add_graph(command, "one JSON document")
@@ -306,5 +318,9 @@ def _set(arguments: argparse.Namespace) -> int:
             table_values = {}
         values[table_key] = {**table_values, part: typed_value(text, None)}
     answer = ask_node(graph, arguments.node, "set", values)
-    done = {"node": arguments.node, "set": values, "answer": answer}
+    done = {
+        "node": arguments.node,
+        "set": values,
+        "answer": answer,
+    }
     return show(arguments, "param-set", done, [f"{arguments.node}: {answer}"])

@@ -270,7 +270,11 @@ def configure_keys(parser: argparse.ArgumentParser) -> None:
     )
     about = f"folder to write to (default: {KEY_FOLDER})"
     make.add_argument(
-        "--dir", metavar="D", type=Path, default=Path(KEY_FOLDER), help=about
+        "--dir",
+        metavar="D",
+        type=Path,
+        default=Path(KEY_FOLDER),
+        help=about,
     )
 
 

@@ -34,7 +34,12 @@ def configure_record(parser: argparse.ArgumentParser) -> None:
         "Record topics of a running graph into an MCAP file, until it ends or Ctrl-C."
     )
     about = "topics, all by default; * matches any text"
-    parser.add_argument("topics", metavar="TOPIC", nargs="*", help=about)
+    parser.add_argument(
+        "topics",
+        metavar="TOPIC",
+        nargs="*",
+        help=about,
+    )
     parser.add_argument(
         "--out", metavar="F.mcap", help="file to write; named by graph and time"
     )

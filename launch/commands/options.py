@@ -95,7 +95,12 @@ def add_layout(parser: argparse.ArgumentParser, but: Sequence[str] = ()) -> None
             group = parser
         # The first clause is enough for a line of help.
         about = entry["doc"].partition(";")[0]
-        group.add_argument(_option_of(key), default=None, help=about, **_kind_of(entry))
+        group.add_argument(
+            _option_of(key),
+            default=None,
+            help=about,
+            **_kind_of(entry),
+        )
 
 
 def _option_of(key: str) -> str:
@@ -175,7 +180,11 @@ def add_set(
     """Add --set; `stated_values` reads KEY=VALUE, `load` of a launch file NODE.KEY=VALUE."""
     about = f"{about} (may be repeated)"
     parser.add_argument(
-        "--set", metavar=metavar, action="append", default=[], help=about
+        "--set",
+        metavar=metavar,
+        action="append",
+        default=[],
+        help=about,
     )
 
 
@@ -204,7 +213,12 @@ def stated_values(
 def add_summary(parser: argparse.ArgumentParser) -> None:
     """Add --summary."""
     about = "write the summary as JSON"
-    rare(parser).add_argument("--summary", metavar="OUT.json", type=Path, help=about)
+    rare(parser).add_argument(
+        "--summary",
+        metavar="OUT.json",
+        type=Path,
+        help=about,
+    )
 
 
 def check_summary(path: Path | None) -> None:

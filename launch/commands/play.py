@@ -45,30 +45,61 @@ def configure_play(parser: argparse.ArgumentParser) -> None:
         "Publish what was recorded, as it was recorded. Keys: space pauses, right plays one frame, "
         "up and down change the rate, q ends."
     )
-    rarely_used = rare(parser)
     parser.add_argument("file", metavar="F.mcap", help="recording")
     about = "times the recorded speed; 0: as fast as it is read"
-    parser.add_argument("--rate", type=real(False), metavar="R", help=about)
     parser.add_argument(
-        "--loop", action="store_true", default=None, help="start again at the end"
+        "--rate",
+        type=real(False),
+        metavar="R",
+        help=about,
+    )
+    parser.add_argument(
+        "--loop",
+        action="store_true",
+        default=None,
+        help="start again at the end",
     )
     # The settings have a unit in their names, the options do not.
     seconds: dict[str, Any] = {"type": real(False), "metavar": "S"}
-    parser.add_argument("--start", dest="start_s", help="seconds to skip", **seconds)
     parser.add_argument(
-        "--duration", dest="duration_s", help="seconds to play", **seconds
+        "--start",
+        dest="start_s",
+        help="seconds to skip",
+        **seconds,
     )
-    rarely_used.add_argument("--topics", nargs="+", metavar="T", help="topics to play")
-    about = "send no frame before all readers have handled the last"
-    rarely_used.add_argument(
-        "--lockstep", action="store_true", default=None, help=about
+    parser.add_argument(
+        "--duration",
+        dest="duration_s",
+        help="seconds to play",
+        **seconds,
     )
-    rarely_used.add_argument(
-        "--wait", type=whole(0), metavar="K", help="wait for K readers first"
-    )
-    rarely_used.add_argument("--pause", action="store_true", help="start paused")
+    _add_rare_options(rare(parser))
     add_page(parser, "open a live page that shows it, again and again")
     parser.set_defaults(run=_play)
+
+
+def _add_rare_options(group: Any) -> None:
+    """What most users leave out, listed apart."""
+    group.add_argument(
+        "--topics",
+        nargs="+",
+        metavar="T",
+        help="topics to play",
+    )
+    about = "send no frame before all readers have handled the last"
+    group.add_argument(
+        "--lockstep",
+        action="store_true",
+        default=None,
+        help=about,
+    )
+    group.add_argument(
+        "--wait",
+        type=whole(0),
+        metavar="K",
+        help="wait for K readers first",
+    )
+    group.add_argument("--pause", action="store_true", help="start paused")
 
 
 def _play(arguments: argparse.Namespace) -> int:
@@ -89,6 +120,7 @@ def _play(arguments: argparse.Namespace) -> int:
     values["paused"] = arguments.pause
     # The stamps of a loop would go back: they are made anew.
     values["keep_stamps"] = not arguments.loop
+    # A refusal names what the user typed, not the setting behind it.
     with naming_options(OPTIONS):
         if arguments.open:
             launch = _with_page(arguments, path, values)

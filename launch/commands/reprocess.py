@@ -27,14 +27,24 @@ def configure(parser: argparse.ArgumentParser) -> None:
         "recorded; the result is a recording with the same stamps."
     )
     rarely_used = rare(parser)
-    parser.add_argument("files", metavar="F.mcap", nargs="+", help="recordings")
+    parser.add_argument(
+        "files",
+        metavar="F.mcap",
+        nargs="+",
+        help="recordings",
+    )
     add_set(
         parser,
         "change a setting of the compressor or the reconstructor",
         "NODE.KEY=VALUE",
     )
     about = "file to write; a folder for several, made if it does not exist"
-    parser.add_argument("--out", metavar="G.mcap", required=True, help=about)
+    parser.add_argument(
+        "--out",
+        metavar="G.mcap",
+        required=True,
+        help=about,
+    )
     about = "recorded stream to start from; auto: measurements, unless the compressor is changed"
     rarely_used.add_argument(
         "--from",
@@ -131,7 +141,11 @@ def _outcomes(jobs: "Sequence[Job]", executor: str | None) -> "list[Outcome]":
     with (
         # Closed at an error, too: no job is left behind.
         closing(computed(executor, run_job, {job: job for job in jobs})) as finished,
-        tqdm(total=len(jobs), disable=not lively, unit="recording") as bar,
+        tqdm(
+            total=len(jobs),
+            disable=not lively,
+            unit="recording",
+        ) as bar,
     ):
         for job, future in finished:
             try:

@@ -102,10 +102,16 @@ def configure_scope(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("source", metavar="SOURCE", help="one of sparseskin sources")
     parser.add_argument(
-        "--frames", type=whole(1), metavar="N", help="end after so many frames"
+        "--frames",
+        type=whole(1),
+        metavar="N",
+        help="end after so many frames",
     )
     parser.add_argument(
-        "--seconds", type=real(True), metavar="S", help="end after so long"
+        "--seconds",
+        type=real(True),
+        metavar="S",
+        help="end after so long",
     )
     add_set(parser, f"state what the source does not: {', '.join(KEYS)}")
     parser.set_defaults(run=_scope)

@@ -42,9 +42,17 @@ def configure(parser: argparse.ArgumentParser) -> None:
     echo.add_argument("--once", action="store_true", help="end after one message")
     for command in (echo, hz):
         about = "end after S seconds"
-        command.add_argument("--duration", metavar="S", type=real(True), help=about)
+        command.add_argument(
+            "--duration",
+            metavar="S",
+            type=real(True),
+            help=about,
+        )
         rare(command).add_argument(
-            "-n", metavar="K", type=whole(1), help="end after K messages"
+            "-n",
+            metavar="K",
+            type=whole(1),
+            help="end after K messages",
         )
     about = "print one field; FIELD[I,J]: one element of an array"
     echo.add_argument("--field", metavar="FIELD", help=about)
@@ -54,7 +62,12 @@ def configure(parser: argparse.ArgumentParser) -> None:
     about = (
         "print R messages a second at most, 0: all (default: 10; all with --json or -n)"
     )
-    rare(echo).add_argument("--max-hz", metavar="R", type=real(False), help=about)
+    rare(echo).add_argument(
+        "--max-hz",
+        metavar="R",
+        type=real(False),
+        help=about,
+    )
     for command in (listing, info):
         add_graph(command, "one JSON document")
     for command in (echo, hz):

@@ -322,7 +322,11 @@ def expand(
             for patch in batch.patches:
                 if patch.pose is not None:
                     poses[patch.name] = list(patch.pose)
-        of_body = {"patches": [], "batches": names, "poses": poses}
+        of_body = {
+            "patches": [],
+            "batches": names,
+            "poses": poses,
+        }
         return {name: {**of_body, **table}}
 
     keys = {"patch", "patches"}

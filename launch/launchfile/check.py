@@ -101,16 +101,12 @@ class Checker:
         self.launched = changes + self.text
 
         tables = self.expanded(tables)
-        if record is not None:
-            # In place of that of the file.
-            tables.pop(RECORDER, None)
-        self.take_places(tables, hosts)
-        if record is not None:
-            # A process of its own: that it writes a file holds up no other node. It has no place:
-            # it runs wherever --record was typed.
-            tables[RECORDER] = {"type": "recorder", "out": record, "process": ""}
-            self.overridden[RECORDER, "out"] = "--record"
+        if record is None:
+            self.take_places(tables, hosts)
+        else:
+            self.add_recorder(tables, hosts, record)
 
+        # Even with faults in some nodes: all that is wrong is reported at once.
         nodes = self.nodes(tables)
         links = self.connected(nodes, tables, hosts)
         if self.errors:
@@ -128,6 +124,19 @@ class Checker:
             log_dir=graph.log_dir,
             title=self.title,
         )
+
+    def add_recorder(self, tables: dict[str, Table], hosts: Hosts, record: str) -> None:
+        """Add a recorder in place of that of the file, and take the hosts of the other nodes."""
+        tables.pop(RECORDER, None)
+        # It has no place: it runs wherever --record was typed.
+        self.take_places(tables, hosts)
+        # A process of its own: that it writes a file holds up no other node.
+        tables[RECORDER] = {
+            "type": "recorder",
+            "out": record,
+            "process": "",
+        }
+        self.overridden[RECORDER, "out"] = "--record"
 
     def take_places(self, tables: dict[str, Table], hosts: Hosts) -> None:
         """Take the host of each node out of its table, in a graph of several hosts."""

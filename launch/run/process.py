@@ -106,7 +106,11 @@ def start_process(
     # The names at the end are for whoever lists processes.
     command = [sys.executable, "-P", "-m", "sparseskin.nodes.process.run_node", *names]
     # Nodes share the processors: threads of one would hold up the others.
-    environment = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", **os.environ}
+    environment = {
+        "OMP_NUM_THREADS": "1",
+        "OPENBLAS_NUM_THREADS": "1",
+        **os.environ,
+    }
     try:
         with ExitStack() as inherited:
             pipes = [NodePipes(spec) for spec, _ in nodes]

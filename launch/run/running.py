@@ -103,7 +103,11 @@ def runtime_folder() -> Path:
         raise GraphError(f"{folder}: too long for the path of a socket{_ELSEWHERE}")
     try:
         if not folder.is_symlink():
-            folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+            folder.mkdir(
+                mode=0o700,
+                parents=True,
+                exist_ok=True,
+            )
         check_private(folder)
     except OSError as error:
         raise GraphError(f"{folder}: {error.strerror}{_ELSEWHERE}") from error

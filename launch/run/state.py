@@ -116,7 +116,13 @@ def _settings(node: NodeProcess) -> list[Document]:
         # A node publishes as state what it takes for a setting that is not stated.
         if in_force is None:
             in_force = node.state.get(key)
-        settings.append({**entry, "value": values[key], "in_force": in_force})
+        settings.append(
+            {
+                **entry,
+                "value": values[key],
+                "in_force": in_force,
+            }
+        )
     return settings
 
 

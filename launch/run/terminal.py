@@ -18,7 +18,12 @@ from .run_log import RunLog, time_text
 QUIET_STATUS_S = 10.0
 """Period of the status where the output is no terminal, seconds."""
 
-ARROWS = {"\x1b[A": "up", "\x1b[B": "down", "\x1b[C": "right", "\x1b[D": "left"}
+ARROWS = {
+    "\x1b[A": "up",
+    "\x1b[B": "down",
+    "\x1b[C": "right",
+    "\x1b[D": "left",
+}
 """Keys that come as three characters."""
 
 

@@ -492,6 +492,7 @@ class PatchMetrics:
             "phi": getattr(phi, "kind", None),
             **_fields(self.solver, "basis", "solver", "preset"),
             **_fields(self.solver, "iterations", "max_iterations", "frame_ms"),
+            **_fields(self.solver, "noise_sum"),
             **_fields(phi, "rows", "n", "m"),
             **_fields(self.skin, "f_min", "f_max", "unit"),
             "ratio": None,

@@ -123,7 +123,11 @@ def _contacts(patches: Sequence[PatchMetrics]) -> list[str]:
         total = sum(totals)
         return [summary(n_contacts, total, units[0])]
     if any(loads):
-        return [f"{sum(loads):.3g} {sum_unit(units[0])}"]
+        unit = sum_unit(units[0])
+        noise_sum = sum(m.solver.noise_sum for m in patches if m.solver is not None)
+        if not noise_sum:
+            return [f"{sum(loads):.3g} {unit}"]
+        return [f"{sum(loads):.3g} {unit}, about {noise_sum:.3g} {unit} of it noise"]
     if loads:
         return ["no contact"]
     return []

@@ -143,10 +143,14 @@ class Patch:
         if self._last is not None and self._last.shape != state.skin.shape:
             self._last = None
         self._warm = self._last
+        noise_sum = 0.0
+        if not solver_fact(cls, "subtracts_bias"):
+            noise_sum = skin.n_taxels * state.clip_bias
         return {
             "basis": basis,
             "lambda_n": options.get("lambda_n", 0.0),
             "frame_ms": frame_ms,
+            "noise_sum": noise_sum,
             **self._stated_steps(options.get("iterations", solver.n_steps)),
         }
 

@@ -155,4 +155,8 @@ def metadata_of(launch: str, graph: str) -> dict[str, str]:
         "mcap": version("mcap"),
         "schemas": {schema: cls.version for schema, cls in SCHEMAS.items()},
     }
-    return {"graph": graph, "launch": launch, "versions": json.dumps(versions)}
+    return {
+        "graph": graph,
+        "launch": launch,
+        "versions": json.dumps(versions),
+    }

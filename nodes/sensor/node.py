@@ -33,6 +33,7 @@ from .layout.layout import MASK
 from .missing import MissingReadings
 from .noise import NoiseModel
 from .points import point_skins
+from .repetition import names_of
 from .saturation import Clipped, clipped_text
 from .settings import NO_TRUTH, SensorSettings
 from .skin_file import load_skin
@@ -42,8 +43,6 @@ WAIT_S = 0.05
 """Longest wait for a frame of a board, seconds; chosen: commands and signals wait no longer."""
 LOG_S = 10
 """Least time between two lines of clipped readings, seconds; chosen: a log stays readable."""
-MOST_NAMED = 8
-"""Most taxels that a line names."""
 _Bits = npt.NDArray[np.uint8]
 
 
@@ -525,12 +524,8 @@ class Sensor(SourceNode[SensorSettings]):
         if len(cells) <= 2 * self._n_stuck:
             return
         self._n_stuck = len(cells)
-        names = [str(divmod(cell, self.skin.n_cols)) for cell in cells[:MOST_NAMED]]
-        if len(cells) > MOST_NAMED:
-            names.append("...")
-        self.context.log(
-            f"stuck taxels, filled in by those beside them: {', '.join(names)}"
-        )
+        names = names_of(cells, self.skin.n_cols)
+        self.context.log(f"stuck taxels, filled in by those beside them: {names}")
 
     def _say(self, line: str) -> None:
         """Log a line that names settings, for the end of the run, too."""

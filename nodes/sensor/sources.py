@@ -93,8 +93,18 @@ class DriverAddress(Address):
     """A driver of a user's own: module:callable."""
 
     keys = (
-        *("n_rows", "n_cols", "axes", "order", "row_order", "col_order", "channel"),
-        *("unit", "f_max", "missing", "nan", "negative"),
+        "n_rows",
+        "n_cols",
+        "axes",
+        "order",
+        "row_order",
+        "col_order",
+        "channel",
+        "unit",
+        "f_max",
+        "missing",
+        "nan",
+        "negative",
     )
 
     def check(self) -> None:

@@ -12,6 +12,7 @@ from sparseskin.nodes.numerics.arrays import Floats
 
 from .calibration.chain import MAX_TARE_FRAMES
 from .doubt.doubt import Doubt
+from .repetition import line_on_still
 
 
 class Zero:
@@ -61,6 +62,7 @@ class Zero:
         self.reason = ""
         self._untouched: list[Floats] = []
         self._baseline: Floats | None = None
+        self._still = ""
         self.doubt = Doubt(
             self._skin, has_level=self._has_level, is_inverted=self._invert
         )
@@ -70,13 +72,23 @@ class Zero:
         """True if forces differ from readings."""
         return self._invert or self._n_tare > 0
 
+    def take_still(self) -> str:
+        """Line on the taxels that did not move in the tare, as of `line_on_still`; "" the next
+        time, and if there are none.
+        """
+        line = self._still
+        self._still = ""
+        return line
+
     def forces(self, readings: Floats) -> Floats:
         """Forces of a frame, float32 (n_rows, n_cols), 0 in those of the tare; not clipped."""
         if len(self._untouched) < self._n_tare:
             # A copy: a program may hand over the same array again, with other readings.
             self._untouched.append(readings.copy())
             if len(self._untouched) == self._n_tare:
-                self._baseline = np.median(self._untouched, axis=0).astype(np.float32)
+                untouched = np.array(self._untouched)
+                self._baseline = np.median(untouched, axis=0).astype(np.float32)
+                self._still = line_on_still(untouched, self._skin.exists)
             self.reason = Reason.REST
             return np.zeros_like(readings)
 

@@ -27,7 +27,9 @@ FIRST_FRAME_S = 10.0
 """Longest wait for the first frame of a graph, seconds."""
 READ_S = 10.0
 """Longest wait of `read` for a frame, seconds; as in cameras of LeRobot."""
-MAX_SIDE, MAX_CONTACTS = 4096, 100
+MAX_SIDE = 4096
+MAX_CONTACTS = 100
+"""Most pixels along a side and most contacts; chosen: a number of a file must not fill memory."""
 
 
 @CameraConfig.register_subclass("sparseskin")
@@ -89,7 +91,11 @@ class SparseskinCamera(Camera):
     def find_cameras() -> list[dict[str, Any]]:
         """The patches of all graphs that run on this host."""
         return [
-            {"type": "sparseskin", "id": topic.split("/")[1], "graph": graph.label}
+            {
+                "type": "sparseskin",
+                "id": topic.split("/")[1],
+                "graph": graph.label,
+            }
             for graph in running_graphs()
             for topic in graph.writers()
             if topic.endswith(f"/{Reconstruction.schema}")
@@ -121,8 +127,11 @@ class SparseskinCamera(Camera):
 
     def async_read(self, timeout_ms: float = 200) -> npt.NDArray[np.uint8]:
         """The newest frame, if it has not been read, or the next one; raises TimeoutError."""
-        seen = self._shown.number if self._shown else 0
-        return self._show(self._next(seen, timeout_ms / 1e3))
+        # Numbers of frames begin at 1.
+        number = 0
+        if self._shown is not None:
+            number = self._shown.number
+        return self._show(self._next(number, timeout_ms / 1e3))
 
     def read_latest(self, max_age_ms: int = 500) -> npt.NDArray[np.uint8]:
         """The newest frame, at once, read before or not; raises TimeoutError if it came earlier
@@ -138,16 +147,16 @@ class SparseskinCamera(Camera):
         """The numbers of the strongest contacts of the frame that was read last."""
         if self._shown is None or self._shown.contacts is None:
             raise DeviceNotConnectedError(f"{self}: no frame with contacts was read")
-        return [
-            float(value) for value in state(self._shown.contacts, self.config.contacts)
-        ]
+        numbers = state(self._shown.contacts, self.config.contacts)
+        return [float(number) for number in numbers]
 
     def disconnect(self) -> None:
         """Stop reading."""
         if self._frames is None:
             raise DeviceNotConnectedError(f"{self} is not connected")
         self._frames.close()
-        self._frames = self._shown = None
+        self._frames = None
+        self._shown = None
 
     def _next(self, after: int, timeout_s: float) -> Latest:
         if self._frames is None:
@@ -166,22 +175,22 @@ class SparseskinCamera(Camera):
         return image
 
     def _image(self, latest: Latest) -> npt.NDArray[np.uint8]:
-        forces, sides = (
-            latest.frame.forces[0],
-            (self.config.height or 0, self.config.width or 0),
-        )
-        if any(side < n for side, n in zip(sides, forces.shape, strict=True)):
+        forces = latest.frame.forces[0]
+        n_rows, n_cols = forces.shape
+        height = self.config.height or 0
+        width = self.config.width or 0
+        if height < n_rows or width < n_cols:
             raise ConnectionError(
-                f"{self}: height and width are {sides}, less than the {forces.shape} taxels"
+                f"{self}: height and width are {(height, width)}, less than the "
+                f"{forces.shape} taxels"
             )
-        grey = np.clip(
-            forces * (255 / (self.config.f_max or latest.skin.f_max)), 0, 255
-        )
-        at = [
-            np.arange(side) * n // side
-            for side, n in zip(sides, forces.shape, strict=True)
-        ]
-        large = np.rint(grey).astype(np.uint8)[np.ix_(*at)]
+        f_max = self.config.f_max or latest.skin.f_max
+        grey = np.rint(np.clip(forces * (255 / f_max), 0, 255)).astype(np.uint8)
+
+        # Each pixel shows the taxel under it: nothing is smoothed.
+        rows = np.arange(height) * n_rows // height
+        cols = np.arange(width) * n_cols // width
+        large = grey[np.ix_(rows, cols)]
         return np.repeat(large[:, :, np.newaxis], 3, axis=2)
 
 
@@ -208,16 +217,16 @@ class SkinnedRobot(Robot):
         self.config = config
         self.base = make_robot_from_config(draccus.decode(RobotConfig, config.base))
         self.robot_type = self.name
-        self._skins = {
-            key: camera
-            for key, camera in self.base.cameras.items()
-            if isinstance(camera, SparseskinCamera) and camera.config.contacts
-        }
+        self._skins: dict[str, SparseskinCamera] = {}
+        for key, camera in self.base.cameras.items():
+            if isinstance(camera, SparseskinCamera) and camera.config.contacts:
+                self._skins[key] = camera
         if not self._skins:
             raise ValueError(
                 "base.cameras: none is of type sparseskin with contacts above 0"
             )
 
+    # All that is not of this class is the base's: LeRobot reads attributes that robots add.
     def __getattr__(self, name: str) -> Any:
         return getattr(self.__dict__["base"], name)
 
@@ -228,8 +237,8 @@ class SkinnedRobot(Robot):
 
     @property
     def action_features(self) -> dict[str, Any]:
-        found: dict[str, Any] = self.base.action_features
-        return found
+        features: dict[str, Any] = self.base.action_features
+        return features
 
     @property
     def is_connected(self) -> bool:
@@ -249,14 +258,16 @@ class SkinnedRobot(Robot):
         self.base.configure()
 
     def get_observation(self) -> dict[str, Any]:
-        found: dict[str, Any] = self.base.get_observation()
+        observation: dict[str, Any] = self.base.get_observation()
+        # The base has read its cameras: contacts are those of the same frames.
         for key, camera in self._skins.items():
-            found |= dict(zip(self._names(key), camera.state(), strict=True))
-        return found
+            names = self._names(key)
+            observation |= dict(zip(names, camera.state(), strict=True))
+        return observation
 
     def send_action(self, action: dict[str, Any]) -> dict[str, Any]:
-        sent: dict[str, Any] = self.base.send_action(action)
-        return sent
+        action_sent: dict[str, Any] = self.base.send_action(action)
+        return action_sent
 
     def disconnect(self) -> None:
         self.base.disconnect()

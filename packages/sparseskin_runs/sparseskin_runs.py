@@ -24,12 +24,14 @@ class RunSums(Phi):
         sizes[: n % m] += 1
         self.starts = np.cumsum(sizes) - sizes
         self._run_of_taxel = np.repeat(np.arange(m), sizes)
+        # Rows of length 1: solvers rely on a largest eigenvalue of 1.
         self._scale = (1 / np.sqrt(sizes)).astype(np.float32)
         # A hash of what states the matrix: another program compares it before it inverts anything.
         self.fingerprint = fingerprint_of(self.kind, n, m, 1, self.starts)
 
     def _forward(self, x, out):
-        np.multiply(np.add.reduceat(x, self.starts), self._scale, out)
+        sums = np.add.reduceat(x, self.starts)
+        np.multiply(sums, self._scale, out)
 
     def _adjoint(self, y, out):
         np.take(y * self._scale, self._run_of_taxel, out=out)
@@ -59,6 +61,7 @@ class Spread(Solver):
 
     def finish(self):
         self._steps_left = 0
+        spread = self.phi.adjoint(self._y)
         forces = np.zeros(self.mask.shape, np.float32)
-        forces.reshape(-1)[self.taxels] = np.maximum(self.phi.adjoint(self._y), 0)
+        forces.reshape(-1)[self.taxels] = np.maximum(spread, 0)
         return forces

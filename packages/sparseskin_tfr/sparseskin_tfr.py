@@ -41,7 +41,8 @@ class TfrRecording(WholeRecording):
         shape = []
         for key in ("rows", "cols"):
             side = head.get(key)
-            if not (type(side) is int and 1 <= side <= MAX_SIDE):
+            # `true` is an int of Python, too.
+            if type(side) is not int or not 1 <= side <= MAX_SIDE:
                 raise SourceError(
                     f"{name}, line 1: {key} = {shown(side)}; expected 1..{MAX_SIDE}"
                 )

@@ -49,9 +49,9 @@ class UdpBridge(Bridge[UdpSettings]):
         }
         if isinstance(message, Reconstruction):
             (fields["reason"],) = message.reason or ("",)
-        self._socket.sendto(
-            json.dumps(fields).encode(), (self.settings.host, self.settings.port)
-        )
+        # A datagram that nobody receives is lost, and no error.
+        address = (self.settings.host, self.settings.port)
+        self._socket.sendto(json.dumps(fields).encode(), address)
 
     def close(self, counts):
         self._socket.close()

@@ -304,7 +304,11 @@ class CanPort(Port):
 def _filter_of(arbitration_id: int) -> dict[str, Any]:
     """The filter of python-can that passes an arbitration id alone."""
     is_extended = arbitration_id > HIGHEST_STANDARD_ID
-    return {"can_id": arbitration_id, "can_mask": HIGHEST_ID, "extended": is_extended}
+    return {
+        "can_id": arbitration_id,
+        "can_mask": HIGHEST_ID,
+        "extended": is_extended,
+    }
 
 
 def can_channels() -> list[str]:

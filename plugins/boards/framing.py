@@ -177,7 +177,11 @@ class Framing:
 
     @cached_property
     def _covered_from(self) -> int:
-        starts = {"start": 0, "sequence": len(self.start), "payload": self.payload_at}
+        starts = {
+            "start": 0,
+            "sequence": len(self.start),
+            "payload": self.payload_at,
+        }
         return starts[self.checksum_from]
 
     def is_whole(self, raw: bytes) -> bool:

@@ -46,7 +46,11 @@ MAX_WAITING = 1024
 """Most frames that wait to be used, chosen: 1 s at 1 kHz. No more are read while so many wait."""
 
 
-PORTS: dict[str, type[Port]] = {"serial": SerialPort, "udp": UdpPort, "can": CanPort}
+PORTS: dict[str, type[Port]] = {
+    "serial": SerialPort,
+    "udp": UdpPort,
+    "can": CanPort,
+}
 
 
 @dataclass(frozen=True)
@@ -83,7 +87,11 @@ def describe_board(
         settings = read_settings(kind, query)
         # The source and the settings of the sensor may both state these.
         size = {"n_rows": n_rows, "n_cols": n_cols}
-        of_sensor: dict[str, Any] = {**size, "f_max": f_max, "unit": unit}
+        of_sensor: dict[str, Any] = {
+            **size,
+            "f_max": f_max,
+            "unit": unit,
+        }
         # What the source leaves out; the unit of counts says nothing.
         missing = {}
         for key, value in of_sensor.items():

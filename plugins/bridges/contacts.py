@@ -146,7 +146,11 @@ def json_schema(contacts: Contacts) -> dict[str, Any]:
         "contacts": rows(contact),
         "events": rows({"id": number, "event": text}),
     }
-    return {"type": "object", "title": "sparseskin.Contacts", "properties": properties}
+    return {
+        "type": "object",
+        "title": "sparseskin.Contacts",
+        "properties": properties,
+    }
 
 
 def state_names(patch: str, k: int) -> list[str]:

@@ -147,7 +147,11 @@ class Member:
         self._writers = list[UUID]()
         self._readers = list[UUID]()
         self._left = Event()
-        self._announcing = Thread(target=self._announce, args=(name,), daemon=True)
+        self._announcing = Thread(
+            target=self._announce,
+            args=(name,),
+            daemon=True,
+        )
         self._announcing.start()
 
     def writer(self, topic: str, kind: str, depth: int, reliable: bool) -> Writer:

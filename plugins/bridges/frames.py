@@ -28,9 +28,21 @@ NONE = "none"
 """Values of `Layout.time`: the times at which messages were recorded; no times."""
 STAMP = "header.stamp"
 SOURCES = (
-    *("sensor_id", "sensor_name", "device_id", "board_id", "module_id", "skin_id"),
-    *("side", "hand"),
-    *("sensor", "device", "board", "module", "skin", "patch", "finger"),
+    "sensor_id",
+    "sensor_name",
+    "device_id",
+    "board_id",
+    "module_id",
+    "skin_id",
+    "side",
+    "hand",
+    "sensor",
+    "device",
+    "board",
+    "module",
+    "skin",
+    "patch",
+    "finger",
 )
 """Members of messages that state which skin they are of."""
 NUMBERED = ("id", "addr", "address", "port", "node")

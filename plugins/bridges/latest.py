@@ -73,7 +73,11 @@ class LatestFrames:
         self._seq = -1
         # A daemon: a program that ends without `close` is not kept alive.
         name = f"frames of {self._label}"
-        self._thread = Thread(target=self._read, name=name, daemon=True)
+        self._thread = Thread(
+            target=self._read,
+            name=name,
+            daemon=True,
+        )
         self._thread.start()
 
     def newest(self, after: int = 0, timeout_s: float = 0.0) -> Latest | None:

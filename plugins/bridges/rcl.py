@@ -35,7 +35,11 @@ class Member:
             os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
         # A context of its own: the process may use rclpy for other nodes.
         self._context = Context()
-        rclpy.init(args=[], context=self._context, domain_id=domain)
+        rclpy.init(
+            args=[],
+            context=self._context,
+            domain_id=domain,
+        )
         # Arguments and parameters of the user's launch file are not for this node.
         options = dict.fromkeys(
             ("use_global_arguments", "enable_rosout", "start_parameter_services"), False
@@ -43,7 +47,10 @@ class Member:
         # rclpy's own services are not needed.
         unserved = Parameter("start_type_description_service", value=False)
         self._node = rclpy.create_node(
-            name, context=self._context, parameter_overrides=[unserved], **options
+            name,
+            context=self._context,
+            parameter_overrides=[unserved],
+            **options,
         )
         # Callbacks run in `take` alone, so that no lock is needed.
         self._executor = SingleThreadedExecutor(context=self._context)

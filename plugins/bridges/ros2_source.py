@@ -64,8 +64,15 @@ class Ros2Address(Address):
     delivers = "taxels"
     form = "ros2:/TOPIC"
     keys = (
-        *("n_rows", "n_cols", *ARRANGED, "field", *TIMED),
-        *("unit", "f_max", "missing", "nan"),
+        "n_rows",
+        "n_cols",
+        *ARRANGED,
+        "field",
+        *TIMED,
+        "unit",
+        "f_max",
+        "missing",
+        "nan",
     )
 
     def check(self) -> None:

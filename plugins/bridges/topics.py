@@ -14,7 +14,11 @@ from sparseskin.nodes.lookup import one_line
 from .base import check_installed
 
 MAX_DOMAIN = 232
-RANGES = {"LOCALHOST": "lo", "SUBNET": "", "SYSTEM_DEFAULT": ""}
+RANGES = {
+    "LOCALHOST": "lo",
+    "SUBNET": "",
+    "SYSTEM_DEFAULT": "",
+}
 """Interface of each range of discovery of ROS 2."""
 
 

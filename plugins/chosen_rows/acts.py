@@ -66,6 +66,7 @@ class ActsPhi(SubsamplePhi):
         self._search = None
 
     def measure(self, x: Floats) -> tuple[Floats, Code]:
+        # At the edge alone: a host follows what was chosen.
         if self._search is None:
             self._search = ActsSearch(self._exists, self.m, self._threshold)
         self.choose(self._search.places(x.take))
@@ -84,6 +85,7 @@ class ActsPhi(SubsamplePhi):
             raise PhiError(
                 f"acts: {taxels.size} taxels are read; expected m = {self.m}"
             )
+        # Codes come over the wire: another program may have made them.
         is_ascending = (taxels[1:] > taxels[:-1]).all()
         if taxels[0] < 0 or taxels[-1] >= self.n or not is_ascending:
             raise PhiError(f"acts: the taxels are not ascending within 0..{self.n - 1}")
@@ -138,6 +140,7 @@ class ActsSearch:
         self._readings.fill(-np.inf)
         np.copyto(self._unread, self._exists)
 
+        # Single forces lie between the taxels of the first lattice: rounds look for them.
         n_left = self.m - self._read(self._lattice(self._steps[0]), self.m, read)
         while n_left:
             n_most = min(n_left, max(1, self.m // N_ROUNDS))
@@ -199,6 +202,7 @@ class ActsSearch:
 
 def _steps(exists: npt.NDArray[np.bool_], m: int) -> list[int]:
     """Return the steps of the lattices, from the coarsest to 1, each half of the one before."""
+    # As coarse as needed: the first lattice leaves most readings for what it finds.
     step = 1
     while step < max(exists.shape):
         offset = step // 2

@@ -84,6 +84,7 @@ class AdaptivePhi(Phi):
             )
 
     def _lay_out(self, exists: Mask) -> None:
+        # The same skin again keeps what was measured of it.
         if self.exists is None or not np.array_equal(self.exists, exists):
             self.exists = exists.copy()
             self._arrange(self.exists)
@@ -136,6 +137,7 @@ class AdaptivePhi(Phi):
         measured = np.ones(self.n, dtype=np.bool_)
         measured[tree.n_tiles :] = chosen[tree.node_of_row[tree.n_tiles :]]
         n_measured = int(np.count_nonzero(measured))
+        # A node has three details at most: fewer than these may be left over.
         n_missing = self.m - n_measured
         if not 0 <= n_missing < N_DETAILS:
             counted = f"nodes of {n_measured} measurements are chosen"

@@ -66,6 +66,7 @@ class AdaptiveSkinSolver(Solver):
 
     name = "skin"
     uses_basis = False
+    subtracts_bias = SkinSolver.subtracts_bias
     uses_blas = True
     least_iterations = SkinSolver.least_iterations
     paces = SkinSolver.paces
@@ -92,7 +93,11 @@ class AdaptiveSkinSolver(Solver):
         self._rows_of: AdaptivePhi = phi
 
         # All taxels, as if they had been measured.
-        self._whole = SbhePhi(n=phi.n, m=phi.n, seed=0)
+        self._whole = SbhePhi(
+            n=phi.n,
+            m=phi.n,
+            seed=0,
+        )
         self._filter = SkinSolver(
             self._whole, basis, self.mask, iterations=iterations, fast=fast
         )

@@ -12,6 +12,7 @@ from contextlib import ExitStack, contextmanager
 from importlib.util import find_spec
 from pathlib import Path
 from threading import Thread
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -62,7 +63,38 @@ def run(out: Path, quick: bool, seed: int, executor: str) -> list[str]:
     """
     n_rounds = QUICK_ROUNDS if quick else N_ROUNDS
     n_messages = QUICK_MESSAGES if quick else N_MESSAGES
-    rows = []
+    rows, absent = _measured(n_rounds, n_messages)
+    table = summary(pd.DataFrame(rows))
+    page = Page(out, "control-loop", Path(__file__).with_suffix(".md"), quick)
+    cores = len(os.sched_getaffinity(0))
+    forms = {
+        "p50, ms": ".2f",
+        "p99, ms": ".2f",
+        "p50 to echo": ".3f",
+    }
+    page.section(
+        "",
+        markdown(table, forms),
+        rate_hz=RATE_HZ,
+        n_rounds=n_rounds,
+        n_messages=n_messages,
+        cores=cores,
+        n_warm_up=N_WARM_UP,
+        absent="; ".join(absent) or "none",
+    )
+    page.csv("ages", rows)
+    lines = []
+    for row in table.to_dict("records"):
+        p50 = f"p50 {row['p50, ms']:.2f} ms"
+        p99 = f"p99 {row['p99, ms']:.2f} ms"
+        lines.append(f"{row['way']}: {p50}, {p99}.")
+    page.write(lines)
+    return lines
+
+
+def _measured(n_rounds: int, n_messages: int) -> tuple[list[dict[str, Any]], list[str]]:
+    """A row for each age, and the ways that are absent on this host."""
+    rows: list[dict[str, Any]] = []
     with ExitStack() as stack:
         # Programs, logs and the runtime folder go with it.
         temporary = tempfile.TemporaryDirectory(prefix="sparseskin-loop-")
@@ -77,28 +109,14 @@ def run(out: Path, quick: bool, seed: int, executor: str) -> list[str]:
                 # Nothing else runs beside a loop that has the skin in its own process.
                 ask_node(graph, "sensor", "pause", way == "stream")
                 for age_ms in ages_of(way, words, folder):
-                    rows.append({"round": number, "way": way, "age_ms": age_ms})
-
-    table = summary(pd.DataFrame(rows))
-    page = Page(out, "control-loop", Path(__file__).with_suffix(".md"), quick)
-    cores = len(os.sched_getaffinity(0))
-    page.section(
-        "",
-        markdown(table, {"p50, ms": ".2f", "p99, ms": ".2f", "p50 to echo": ".3f"}),
-        rate_hz=RATE_HZ,
-        n_rounds=n_rounds,
-        n_messages=n_messages,
-        cores=cores,
-        n_warm_up=N_WARM_UP,
-        absent="; ".join(absent) or "none",
-    )
-    page.csv("ages", rows)
-    lines = [
-        f"{row['way']}: p50 {row['p50, ms']:.2f} ms, p99 {row['p99, ms']:.2f} ms."
-        for row in table.to_dict("records")
-    ]
-    page.write(lines)
-    return lines
+                    rows.append(
+                        {
+                            "round": number,
+                            "way": way,
+                            "age_ms": age_ms,
+                        }
+                    )
+    return rows, absent
 
 
 @contextmanager
@@ -142,7 +160,15 @@ def bridge(folder: Path) -> Iterator[None]:
     for setting in settings:
         words += ["--set", setting]
     log = (folder / "bridge.log").open("w")
-    with log, subprocess.Popen(words, cwd=folder, stdout=log, stderr=log) as process:
+    with (
+        log,
+        subprocess.Popen(
+            words,
+            cwd=folder,
+            stdout=log,
+            stderr=log,
+        ) as process,
+    ):
         try:
             yield
         finally:
@@ -184,7 +210,12 @@ def compiled(folder: Path) -> tuple[str, str]:
     program = str(folder / "ages")
     source = str(sources / "ages.cpp")
     words = ["g++", "-std=c++17", "-O2", source, "-o", program, "-lzmq"]
-    compiler = subprocess.run(words, capture_output=True, text=True, check=False)
+    compiler = subprocess.run(
+        words,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
     if compiler.returncode:
         return program, "libzmq3-dev is not installed"
     return program, ""
@@ -193,7 +224,11 @@ def compiled(folder: Path) -> tuple[str, str]:
 def ages_of(way: str, words: list[str], folder: Path) -> list[float]:
     """Ages that a program prints, ms, without its first `N_WARM_UP`."""
     program = subprocess.run(
-        words, cwd=folder, capture_output=True, text=True, check=False
+        words,
+        cwd=folder,
+        capture_output=True,
+        text=True,
+        check=False,
     )
     ages_ms = [float(line) for line in program.stdout.split()]
     if program.returncode or len(ages_ms) <= N_WARM_UP:
@@ -216,6 +251,16 @@ def summary(rows: pd.DataFrame) -> pd.DataFrame:
         # Ratios of one round: both ran on the same host at about the same time.
         ratio = float(np.mean(p50s.loc[way] / p50s.loc[COMPARED]))
         p50, p99 = np.quantile(ages_ms, [0.5, 0.99])
-        figures = {"p50, ms": float(p50), "p99, ms": float(p99), "p50 to echo": ratio}
-        summaries.append({"way": text, **figures, "messages": len(ages_ms)})
+        figures = {
+            "p50, ms": float(p50),
+            "p99, ms": float(p99),
+            "p50 to echo": ratio,
+        }
+        summaries.append(
+            {
+                "way": text,
+                **figures,
+                "messages": len(ages_ms),
+            }
+        )
     return pd.DataFrame(summaries)

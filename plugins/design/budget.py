@@ -65,6 +65,7 @@ class Row:
     @property
     def stage_hz(self) -> dict[str, float]:
         """Frames a second that each stage can process."""
+        # The host has several cores, and so a rate of its own.
         rates = {name: 1 / self.stage_s[name] for name in STAGES[:-1]}
         return {**rates, "host": self.host_rate_hz}
 
@@ -110,6 +111,7 @@ def budget(design: Design) -> list[Row]:
     """Return the row of each strategy that is possible on the skin."""
     rows = []
     for name, strategy in STRATEGIES.items():
+        # Sums along rows and columns need a grid.
         if design.n_rows is not None or name not in NO_GRID:
             rows.append(row_of(strategy, design))
     return rows
@@ -134,6 +136,7 @@ def row_of(strategy: Strategy, design: Design) -> Row:
         "bus": design.bus.seconds(sent_bytes),
         "host": host.dense_s,
     }
+    # A patch is reconstructed by one core: more cores than patches are idle.
     n_busy_cores = min(design.cores, patches)
     host_rate_hz = n_busy_cores / (host.dense_s * patches)
     return Row(
@@ -161,8 +164,13 @@ def rest_bytes_s(strategy: Strategy, design: Design) -> float:
     _, conversions = wires_of(strategy, design)
     if conversions < n and strategy.phi != LARGER:
         return math.nan
-    cycle = -(-n // m) if strategy.rows == ROTATING else 1
-    frames_s = min(design.rate_hz, cycle / QUIET_S + FALSE_SENDS * design.rate_hz)
+    # In each silence all rows are sent once, so that the host knows the whole skin.
+    cycle = 1
+    if strategy.rows == ROTATING:
+        cycle = -(-n // m)
+    asked_s = cycle / QUIET_S
+    in_vain_s = FALSE_SENDS * design.rate_hz
+    frames_s = min(design.rate_hz, asked_s + in_vain_s)
     return frames_s * frame_bytes(strategy, design)
 
 
@@ -172,8 +180,10 @@ def wires_of(strategy: Strategy, design: Design) -> tuple[int, int]:
     smallest near square; so is that of larger taxels in the shape of the skin.
     """
     n = design.n_taxels
+    # Who builds the skin chooses how it sums; other kinds have one way.
     sums = design.sums if strategy.phi == "sbhe" else strategy.sums
     conversions = strategy.m(n, design.n_rows)
+    # Digital sums are of readings that were converted before.
     if sums == DIGITAL or strategy.phi == "full":
         conversions = n
     # Each taxel has a wire of its own to the amplifiers.

@@ -16,8 +16,15 @@ from .spec import KEYS, SIZE_KEYS, Design, make_design, read_file
 from .strategies import FEW_SCENES, N_SCENES, STRATEGIES
 
 RARE_KEYS = (
-    *("points", "taxels", "pitch", "converters", "settling"),
-    *("sums", "bits", "edge", "host"),
+    "points",
+    "taxels",
+    "pitch",
+    "converters",
+    "settling",
+    "sums",
+    "bits",
+    "edge",
+    "host",
 )
 """Keys whose options most users leave out."""
 
@@ -31,7 +38,11 @@ def configure(parser: argparse.ArgumentParser) -> None:
     )
     rare_options = rare(parser)
     parser.add_argument(
-        "file", metavar="design.toml", nargs="?", type=Path, help="file of keys"
+        "file",
+        metavar="design.toml",
+        nargs="?",
+        type=Path,
+        help="file of keys",
     )
     for name, key in KEYS.items():
         about = key.about
@@ -41,7 +52,12 @@ def configure(parser: argparse.ArgumentParser) -> None:
         place.add_argument(f"--{name.replace('_', '-')}", metavar=key.form, help=about)
 
     about = "write all figures to this file too, with all digits"
-    parser.add_argument("--csv", metavar="FILE", type=Path, help=about)
+    parser.add_argument(
+        "--csv",
+        metavar="FILE",
+        type=Path,
+        help=about,
+    )
     about = "rates, bytes and wires alone, at once: nothing is simulated"
     parser.add_argument("--no-accuracy", action="store_true", help=about)
     about = f"simulated scenes, 2..{N_SCENES}: more take longer (default: {FEW_SCENES})"

@@ -21,13 +21,45 @@ from sparseskin.nodes.errors import SettingsError
 from sparseskin.nodes.lookup import nearest_of
 from sparseskin.nodes.sensor.layout.checks import shown
 
-LENGTH = {"mm": 1e-3, "cm": 1e-2, "m": 1.0, "um": 1e-6}
-FORCE = {"N": 1.0, "mN": 1e-3, "kN": 1e3}
-RATE = {"Hz": 1.0, "kHz": 1e3, "": 1.0}
-CLOCK = {"Hz": 1.0, "kHz": 1e3, "MHz": 1e6, "GHz": 1e9}
-TIME = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
-SAMPLES = {"S/s": 1.0, "kS/s": 1e3, "MS/s": 1e6}
-BITS_A_SECOND = {"": 1.0, "k": 1e3, "M": 1e6, "G": 1e9}
+LENGTH = {
+    "mm": 1e-3,
+    "cm": 1e-2,
+    "m": 1.0,
+    "um": 1e-6,
+}
+FORCE = {
+    "N": 1.0,
+    "mN": 1e-3,
+    "kN": 1e3,
+}
+RATE = {
+    "Hz": 1.0,
+    "kHz": 1e3,
+    "": 1.0,
+}
+CLOCK = {
+    "Hz": 1.0,
+    "kHz": 1e3,
+    "MHz": 1e6,
+    "GHz": 1e9,
+}
+TIME = {
+    "s": 1.0,
+    "ms": 1e-3,
+    "us": 1e-6,
+    "ns": 1e-9,
+}
+SAMPLES = {
+    "S/s": 1.0,
+    "kS/s": 1e3,
+    "MS/s": 1e6,
+}
+BITS_A_SECOND = {
+    "": 1.0,
+    "k": 1e3,
+    "M": 1e6,
+    "G": 1e9,
+}
 """Units of each kind of quantity, and their size in SI units."""
 
 _QUANTITY = re.compile(r"(\d+(?:\.\d+)?(?:e[+-]?\d+)?)\s*([a-zA-Z/]*)", re.ASCII)
@@ -55,6 +87,7 @@ def quantity(
         raise SettingsError(f"{shown(text)}: {fault}; expected such as {example}")
 
     value = float(number) * units[unit]
+    # An exponent may make it infinite.
     if not (math.isfinite(value) and low <= value <= high):
         lowest = f"{low / units[unit]:.6g} {unit}".strip()
         largest = f"{high / units[unit]:.6g} {unit}".strip()
@@ -99,6 +132,7 @@ class Adc:
 
     def seconds(self, conversions: int) -> float:
         """Time of so many conversions, seconds."""
+        # All converters run at once; the last round may leave some idle.
         n_in_turn = -(-conversions // self.converters)
         return n_in_turn * (1 / self.rate_hz + self.settling_s)
 
@@ -137,7 +171,9 @@ def _can_s(n: int, bit_s: float) -> float:
 
 def _can_fd_s(n: int, bit_s: float, data_bit_s: float) -> float:
     """CAN FD: 34 bits at the slow rate, the others at the fast one. Source: ISO 11898-1:2015."""
+    # A frame is filled up to the next length that exists.
     n = next(length for length in FD_LENGTHS if length >= n)
+    # At most one stuff bit after each four, of which the first four are sent at the slow rate.
     stuff = (21 + 8 * n) // 4
     crc = 27 if n <= 16 else 32
     return (17 + 4 + 13) / bit_s + (5 + 8 * n + (stuff - 4) + crc) / data_bit_s
@@ -230,6 +266,7 @@ def read_bus(text: object) -> Bus:
             )
     allowed = (BITS_A_SECOND, "1M", LOWEST_BIT_S, HIGHEST_BIT_S)
     rates = tuple(quantity(part.strip(), *allowed) for part in parts)
+    # Of CAN FD: the other order is a slip.
     if rates[-1] < rates[0]:
         raise SettingsError(f"{shown(text)}: data are slower than the arbitration")
     return Bus(kind, rates)
@@ -273,6 +310,7 @@ def cost(strategy: str, n_taxels: int) -> Cost:
     # Only the sizes that were measured are in the table.
     table = stored()["cost"]
     sizes = sorted(int(size) for size in table)
+    # Patches are no larger than the largest size: beyond it, each taxel costs as much.
     beyond_largest = max(1.0, n_taxels / sizes[-1])
     seconds = []
     for key in FIGURES:

@@ -20,6 +20,7 @@ from dataclasses import dataclass, replace
 from typing import Any, TypeAlias
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 from scipy.special import stdtrit
 from tqdm import tqdm
 
@@ -71,13 +72,15 @@ def raster(mask: Mask, bits: int, phis: list[Phi] | None = None) -> Reader:
     taxels = np.flatnonzero(mask)
     subsets = [taxels]
     if phis:
+        # Rows of such a phi are numbers of taxels.
         subsets = [taxels[getattr(phi, "rows")] for phi in phis]  # noqa: B009
     subset_in_turn = itertools.cycle(subsets)
     readings_kept = np.zeros(mask.size, dtype=np.float32)
 
     def read(readings: Floats) -> Floats:
         subset = next(subset_in_turn)
-        readings_kept[subset] = np.rint(readings.reshape(-1)[subset] / step) * step
+        codes = np.rint(readings.reshape(-1)[subset] / step)
+        readings_kept[subset] = codes * step
         return readings_kept.reshape(readings.shape).copy()
 
     return read
@@ -89,8 +92,8 @@ def larger_raster(mask: Mask, bits: int, m: int) -> Reader:
     steps = (F_MAX_N * larger_taxels.sizes / (2**bits - 1)).astype(np.float32)
 
     def read(readings: Floats) -> Floats:
-        sums = np.rint(larger_taxels.sums(readings) / steps) * steps
-        return larger_taxels.spread(sums)
+        codes = np.rint(larger_taxels.sums(readings) / steps)
+        return larger_taxels.spread(codes * steps)
 
     return read
 
@@ -109,12 +112,21 @@ def make_reader(
     if strategy.phi == LARGER:
         return larger_raster(mask, bits, strategy.m(n))
     if strategy.reads_single:
-        settings = CompressorSettings(ratio=strategy.ratio, seed=seed, **options)
+        settings = CompressorSettings(
+            ratio=strategy.ratio,
+            seed=seed,
+            **options,
+        )
         if strategy.phi == "full":
             return raster(mask, bits)
-        return raster(mask, bits, settings.phis(Skin(*shape, F_MAX_N, mask=mask)))
+        skin = Skin(*shape, F_MAX_N, mask=mask)
+        return raster(mask, bits, settings.phis(skin))
 
-    options |= {"mask": mask, "f_max_n": F_MAX_N, "sigma_end": noise * F_MAX_N}
+    options |= {
+        "mask": mask,
+        "f_max_n": F_MAX_N,
+        "sigma_end": noise * F_MAX_N,
+    }
     m = strategy.m(n, mask.shape[0])
     method = make_method(PRESETS["skin"], shape, strategy.ratio, seed, m=m, **options)
     method.bits = bits
@@ -127,10 +139,9 @@ def presses(
     """Yield (truth, readings) of one of the scenes, 0..N_SCENES - 1, newtons; see the module."""
     rng = np.random.default_rng([seed, scene, 4])
     active_part = math.exp(rng.uniform(*np.log(ACTIVE)))
-    spans_s = (RAMP_S, PAUSE_S, HELD_S)
-    timing = Timing(
-        N_UNTOUCHED, *(max(1, round(span_s * rate_hz)) for span_s in spans_s)
-    )
+    # At a low rate each part still has a frame.
+    spans = [max(1, round(span_s * rate_hz)) for span_s in (RAMP_S, PAUSE_S, HELD_S)]
+    timing = Timing(N_UNTOUCHED, *spans)
     n_pressed = min(MOST_FRAMES, max(4, round(SCENE_S * rate_hz)))
     return press_frames(
         BODIES[scene % len(BODIES)],
@@ -186,18 +197,21 @@ def light_touch(reader: Reader, mask: Mask, noise: float, seed: int) -> float:
     rng = np.random.default_rng([seed, 5])
     nothing = np.zeros(mask.shape, dtype=np.float32)
     sides = tuple(min(TOUCH_SIDE, side) for side in mask.shape)
-    is_whole = np.lib.stride_tricks.sliding_window_view(mask, sides).all(axis=(-2, -1))
+    # Places where all taxels of the touch exist.
+    windows_of_mask = sliding_window_view(mask, sides)
+    is_whole = windows_of_mask.all(axis=(-2, -1))
     places = np.zeros((1, 2), dtype=np.intp)
     if is_whole.any():
         places = np.argwhere(is_whole)
 
+    # Noise is drawn anew in each frame: one generator goes through all of them.
     def frame(truth: Floats) -> Floats:
         taxels = model.apply(truth, rng)
         taxels[~mask] = 0
         return reader(taxels)
 
     def largest(forces: Floats) -> float:
-        windows = np.lib.stride_tricks.sliding_window_view(forces, sides)
+        windows = sliding_window_view(forces, sides)
         return float(windows.mean(axis=(-2, -1)).max())
 
     # The reader settles before the threshold is learnt.

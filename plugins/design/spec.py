@@ -119,7 +119,13 @@ def _quantity(
     low: float,
     high: float,
 ) -> Key:
-    read = partial(quantity, units=units, example=default, low=low, high=high)
+    read = partial(
+        quantity,
+        units=units,
+        example=default,
+        low=low,
+        high=high,
+    )
     return Key(default, about, form, read)
 
 

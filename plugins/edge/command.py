@@ -23,38 +23,84 @@ _OPTIONS = {
 
 def configure(parser: argparse.ArgumentParser) -> None:
     """Add the arguments of `edge`."""
-    from sparseskin.nodes.compressor.phi.base import BLOCK
-    from sparseskin.nodes.compressor.phi.rotation import RATIO, ROWS
+    from sparseskin.nodes.compressor.phi.rotation import RATIO
 
     add = add_commands(parser, "A compressor in C99 for the board beside the skin.")
-    # The options that most users leave out are listed apart.
     make = add("export", _export, "write its program")
-    rare_options = rare(make)
-    make.add_argument("--n-rows", metavar="R", type=int, help="rows of taxels")
-    make.add_argument("--n-cols", metavar="C", type=int, help="columns of taxels")
-    about = f"taxels a measurement (default: {RATIO:g})"
-    make.add_argument("--ratio", type=float, help=about)
-    rare_options.add_argument(
-        "--m", metavar="M", type=int, help="number of measurements, for --ratio"
-    )
-    about = "bits of a measurement, 4..16 (default: 8)"
-    make.add_argument("--bits", type=int, default=8, help=about)
-    about = "rows of the matrix: the same in each frame or not (default: as the compressor chooses)"
-    rare_options.add_argument("--rows-mode", choices=ROWS, help=about)
-    about = "bits of a reading, 1..16: counts are 0 .. 2^bits - 1 (default: 12)"
-    make.add_argument("--adc-bits", metavar="BITS", type=int, default=12, help=about)
-    about = f"size of the Hadamard blocks (default: {BLOCK})"
-    rare_options.add_argument(
-        "--block", metavar="B", type=int, default=BLOCK, help=about
-    )
-    rare_options.add_argument(
-        "--seed", type=int, default=0, help="seed of the matrix (default: 0)"
+    make.add_argument(
+        "--n-rows",
+        metavar="R",
+        type=int,
+        help="rows of taxels",
     )
     make.add_argument(
-        "--skin", metavar="skin.toml", type=Path, help="rows, columns, mask of a skin"
+        "--n-cols",
+        metavar="C",
+        type=int,
+        help="columns of taxels",
+    )
+    about = f"taxels a measurement (default: {RATIO:g})"
+    make.add_argument("--ratio", type=float, help=about)
+    about = "bits of a measurement, 4..16 (default: 8)"
+    make.add_argument(
+        "--bits",
+        type=int,
+        default=8,
+        help=about,
+    )
+    about = "bits of a reading, 1..16: counts are 0 .. 2^bits - 1 (default: 12)"
+    make.add_argument(
+        "--adc-bits",
+        metavar="BITS",
+        type=int,
+        default=12,
+        help=about,
+    )
+    make.add_argument(
+        "--skin",
+        metavar="skin.toml",
+        type=Path,
+        help="rows, columns, mask of a skin",
     )
     about = "folder to write to, a new one"
-    make.add_argument("--out", metavar="DIR", type=Path, required=True, help=about)
+    make.add_argument(
+        "--out",
+        metavar="DIR",
+        type=Path,
+        required=True,
+        help=about,
+    )
+    _add_rare_options(make)
+
+
+def _add_rare_options(make: argparse.ArgumentParser) -> None:
+    """Options of the matrix that most users leave out, listed apart."""
+    from sparseskin.nodes.compressor.phi.base import BLOCK
+    from sparseskin.nodes.compressor.phi.rotation import ROWS
+
+    group = rare(make)
+    group.add_argument(
+        "--m",
+        metavar="M",
+        type=int,
+        help="number of measurements, for --ratio",
+    )
+    about = "rows of the matrix: the same in each frame or not (default: as the compressor chooses)"
+    group.add_argument("--rows-mode", choices=ROWS, help=about)
+    about = f"size of the Hadamard blocks (default: {BLOCK})"
+    group.add_argument(
+        "--block",
+        metavar="B",
+        type=int,
+        default=BLOCK,
+        help=about,
+    )
+    group.add_argument(
+        "--seed",
+        type=int,
+        default=0,
+        help="seed of the matrix (default: 0)",
+    )
 
 
 def _export(arguments: argparse.Namespace) -> int:

@@ -133,8 +133,19 @@ class EdgeDescription(Settings):
             # As the file states a mask: a text a row.
             texts = tuple("".join(row) for row in np.where(mask, "1", "0"))
         # The number of measurements depends on that of the taxels, which the mask decides.
-        description = cls(n_rows, n_cols, m=1, mask=texts, **values)
-        settings = CompressorSettings(phi="sbhe", ratio=ratio, m=m, rows=rows)
+        description = cls(
+            n_rows,
+            n_cols,
+            m=1,
+            mask=texts,
+            **values,
+        )
+        settings = CompressorSettings(
+            phi="sbhe",
+            ratio=ratio,
+            m=m,
+            rows=rows,
+        )
         resolved, n_measurements = settings.rows_and_m(description.n_taxels)
         return replace(description, rows=resolved, m=n_measurements)
 

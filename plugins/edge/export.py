@@ -17,10 +17,18 @@ from .description import Counts, EdgeDescription, compressed
 
 DESCRIPTION = "edge.toml"
 COPIED = (
-    *("edge.h", "edge.c", "edge_tables.h"),
-    *("edge_check.h", "edge_check.c", "edge_test.c"),
-    *("edge_stream.c", "Makefile", "cortex_m4/main.c", "cortex_m4/link.ld"),
-    *("avr/main.c", "arduino/arduino.ino"),
+    "edge.h",
+    "edge.c",
+    "edge_tables.h",
+    "edge_check.h",
+    "edge_check.c",
+    "edge_test.c",
+    "edge_stream.c",
+    "Makefile",
+    "cortex_m4/main.c",
+    "cortex_m4/link.ld",
+    "avr/main.c",
+    "arduino/arduino.ino",
 )
 """Files that are the same for every edge."""
 OF_SKETCH = ("edge.h", "edge.c", "edge_tables.h", "edge_config.h", "edge_tables.c")
@@ -57,8 +65,14 @@ def config(description: EdgeDescription) -> str:
     # The program has no floating point: the step is written by its bits.
     step_of_zeros = int(np.float32(SMALLEST / largest_code(d.bits)).view(np.uint32))
     attributes = (
-        *("n_rows", "n_cols", "n_cells", "n_taxels"),
-        *("m", "bits", "count_bytes", "frame_bytes"),
+        "n_rows",
+        "n_cols",
+        "n_cells",
+        "n_taxels",
+        "m",
+        "bits",
+        "count_bytes",
+        "frame_bytes",
     )
     numbers = {name.upper(): getattr(d, name) for name in attributes}
     numbers |= {
@@ -124,8 +138,14 @@ def readme(description: EdgeDescription) -> str:
         of_mask = f", {d.n_taxels} of which hold a taxel"
     tags = ", ".join(f"`{tag:08x}`" for tag in d.tags)
     attributes = (
-        *("n_rows", "n_cols", "m", "rows"),
-        *("bits", "full_scale", "code_bytes", "frame_bytes"),
+        "n_rows",
+        "n_cols",
+        "m",
+        "rows",
+        "bits",
+        "full_scale",
+        "code_bytes",
+        "frame_bytes",
     )
     values = {name: getattr(d, name) for name in attributes}
     values |= {

@@ -112,6 +112,7 @@ def _around_ellipses(a: Doubles, b: Doubles) -> Doubles:
 
 def grip() -> Layout:
     """A cylinder of the size of a hand's grip, taxels on a square lattice: 44 x 21."""
+    # As many as fit around: the pitch differs from the stated one by a part of a taxel.
     n = round(2 * math.pi * GRIP_RADIUS_M / GRIP_PITCH_M)
     n_rings = round(GRIP_LENGTH_M / GRIP_PITCH_M) + 1
     k, i = np.meshgrid(np.arange(n), np.arange(n_rings))

@@ -150,6 +150,7 @@ def load_points(layout: str) -> Points:
             f"{shown(layout, 200)}: suffix {shown(suffix)} is not known; allowed are "
             f"{', '.join(SUFFIXES)}, and {EXAMPLE}{{{', '.join(EXAMPLES)}}}"
         )
+    # Before it is read: a wrong file may be of any size.
     path = Path(layout)
     if path.is_file() and path.stat().st_size > MAX_BYTES:
         size = path.stat().st_size
@@ -167,6 +168,7 @@ def _read_csv(lines: Sequence[str], name: str) -> Points:
     rows = []
     for number, line in enumerate(lines, start=1):
         where = f"{name}, line {number}"
+        # Comments may stand before and between.
         if line.startswith("#") or not line.strip():
             continue
         cells = [cell.strip() for cell in line.split(",")]
@@ -186,6 +188,7 @@ def _read_csv(lines: Sequence[str], name: str) -> Points:
 
     values = np.array(rows)
     places = values[:, :3] * HEADERS_M[",".join(header[:3])]
+    # A file of one's own has no reason to have two; those of robots have.
     twice = doubled(places)
     if twice.any():
         k = int(np.argmax(twice))
@@ -231,6 +234,7 @@ def _read_icub(lines: Sequence[str], name: str) -> Points:
         )
         is_used = None
 
+    # Readings that are of no taxel, as of a temperature, have zeros as their place.
     rows = np.array(values)
     has_place = rows[:, :3].any(axis=1)
     if is_used is not None:
@@ -251,6 +255,7 @@ def _representatives(text: str, where: str) -> Mask:
     tokens = text.strip().removeprefix("(").removesuffix(")").split()
     is_taxel = []
     for token in tokens:
+        # The number itself is that of the taxel which stands for several: it is not used.
         digits = token.removeprefix("-")
         number = parse_whole(digits, f"{where}, taxel2Repr", 0, len(tokens))
         is_taxel.append(not token.startswith("-") or number == 0)

@@ -149,7 +149,10 @@ def place(points: Points) -> Placement:
     """
     # Several taxels may stand at one place; of these the first is a neighbour of others.
     _, first_taxels, place_of_taxel = np.unique(
-        points.places, axis=0, return_index=True, return_inverse=True
+        points.places,
+        axis=0,
+        return_index=True,
+        return_inverse=True,
     )
     places = points.places[first_taxels]
     normals = points.normals[first_taxels]

@@ -156,8 +156,11 @@ class PointScene(Source):
         """Taxels that a body at place k may touch."""
         scene = self._scene
         middle = course.places[k] + scene.radius_m * course.normals[k]
-        reach = scene.radius_m + self._radius + 0.5 * scene.length_m + 2 * _REACH_M
-        return np.array(self._tree.query_ball_point(middle, reach), dtype=np.intp)
+        reach = scene.radius_m + self._radius + 0.5 * scene.length_m
+        # Within a frame the body comes nearer by less than the second one.
+        reach += 2 * _REACH_M
+        taxels = self._tree.query_ball_point(middle, reach)
+        return np.array(taxels, dtype=np.intp)
 
     def _bed(
         self, course: _Course, k: int, q: Doubles, candidates: Indices
@@ -204,7 +207,10 @@ class PointScene(Source):
         walked = 0.0
         while walked < length and largest.size > 1:
             distances, predecessors = dijkstra(
-                graph, directed=False, indices=corners[-1], return_predecessors=True
+                graph,
+                directed=False,
+                indices=corners[-1],
+                return_predecessors=True,
             )
             goal = int(rng.choice(largest))
             way_back = []

@@ -17,16 +17,36 @@ def configure(parser: argparse.ArgumentParser) -> None:
     )
     make = add("train", _train, "train a model by recordings and labels")
     make.add_argument(
-        "recordings", metavar="RECORDING", nargs="+", help="recording of any format"
+        "recordings",
+        metavar="RECORDING",
+        nargs="+",
+        help="recording of any format",
     )
     about = "table, CSV: recording, label; and begin_s, end_s in it, if it has several labels"
-    make.add_argument("--labels", metavar="FILE", type=Path, required=True, help=about)
+    make.add_argument(
+        "--labels",
+        metavar="FILE",
+        type=Path,
+        required=True,
+        help=about,
+    )
     about = "file to write, a new one (default: %(default)s)"
     out = Path(f"model{SUFFIX}")
-    make.add_argument("--out", metavar="FILE", type=Path, default=out, help=about)
+    make.add_argument(
+        "--out",
+        metavar="FILE",
+        type=Path,
+        default=out,
+        help=about,
+    )
     default = "(default: %(default)s; readings where there is none)"
     about = f"what the node will read {default}"
-    make.add_argument("--reads", choices=READS, default=READS[0], help=about)
+    make.add_argument(
+        "--reads",
+        choices=READS,
+        default=READS[0],
+        help=about,
+    )
 
 
 def _train(arguments: argparse.Namespace) -> int:

@@ -43,7 +43,11 @@ class RecogniserSettings(PatchSettings):
         choices=READS,
     )
     least: float = setting(
-        0.5, "share below which a frame has no label", low=0.0, high=1.0, live=True
+        0.5,
+        "share below which a frame has no label",
+        low=0.0,
+        high=1.0,
+        live=True,
     )
 
     def check(self) -> None:

@@ -97,6 +97,7 @@ class Touch:
 
         model = self._model
         data = self._data
+        # A contact's force is along its own axes: the first is its normal.
         total = 0.0
         wrench = np.zeros(6)
         for k in range(data.ncon):
@@ -252,6 +253,7 @@ class Touch:
 
 def _places_on(pad: Pad) -> Doubles:
     """Places of the taxels from the middle of their plane, metres, float64 (n, 3)."""
+    # x runs along the columns, y along the rows, as in a skin of a graph.
     n_rows, n_cols = pad.shape
     col, row = np.meshgrid(np.arange(n_cols), np.arange(n_rows))
     x = (col.ravel() - (n_cols - 1) / 2) * pad.pitch_m

@@ -98,7 +98,11 @@ class EmedRecording(WholeRecording):
 
         period_ns = header.period_ms * 1e6
         rate_hz = 1000.0 / header.period_ms
-        head = Head(unit="N", rate_hz=rate_hz, pitch_m=header.pitch_m)
+        head = Head(
+            unit="N",
+            rate_hz=rate_hz,
+            pitch_m=header.pitch_m,
+        )
         forces = stack_frames(frames, name) * header.newtons_per_kpa
         stamp_ns = [round(k * period_ns) for k in range(len(frames))]
         return head, Block(forces, stamp_ns)

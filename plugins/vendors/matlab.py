@@ -34,14 +34,30 @@ _INT8 = 1
 _INT32 = 5
 _UINT32 = 6
 _STORED = {
-    **{1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4"},
-    **{7: "f4", 9: "f8", 12: "i8", 13: "u8"},
+    1: "i1",
+    2: "u1",
+    3: "i2",
+    4: "u2",
+    5: "i4",
+    6: "u4",
+    7: "f4",
+    9: "f8",
+    12: "i8",
+    13: "u8",
 }
 """Types of the numbers as they stand in the file; whole float64 numbers stand there as integers."""
 _STRUCT = 2
 _CLASSES = {
-    **{6: "f8", 7: "f4", 8: "i1", 9: "u1", 10: "i2", 11: "u2"},
-    **{12: "i4", 13: "u4", 14: "i8", 15: "u8"},
+    6: "f8",
+    7: "f4",
+    8: "i1",
+    9: "u1",
+    10: "i2",
+    11: "u2",
+    12: "i4",
+    13: "u4",
+    14: "i8",
+    15: "u8",
 }
 """Classes of arrays of numbers in MATLAB."""
 _COMPLEX = 0x0800
@@ -100,6 +116,7 @@ class _Part:
         return raw
 
     def skip(self, n: int) -> None:
+        # In pieces: a size that a file states must not fill the memory.
         while n > 0:
             n -= len(self.read(min(n, 1 << 20)))
 
@@ -120,6 +137,7 @@ class _Part:
 
     def small(self, kind: int, limit: int) -> bytes:
         """The bytes of the next element, which must be of a type, and no longer than `limit`."""
+        # Flags, sides and names: a file cannot make them long.
         tag = self.tag()
         if tag.kind != kind or tag.n_bytes > limit:
             raise ArrayFileError("an array is malformed")
@@ -151,6 +169,7 @@ class MatlabFile(StoredArrays):
         self._limit = max(MAX_GROWN_BYTES, MAX_GROWTH * n_bytes)
         self._file.seek(0)
         heading = self._file.read(_HEAD_BYTES)
+        # The writer's own bytes of "MI": they state the order of all others.
         order = {b"IM": "<", b"MI": ">"}.get(heading[126:])
         if order is None:
             raise ArrayFileError(
@@ -161,6 +180,7 @@ class MatlabFile(StoredArrays):
         while at + 8 <= n_bytes and len(self.stored) < MAX_ARRAYS:
             self._file.seek(at)
             kind, size = struct.unpack(f"{order}II", self._file.read(8))
+            # A copy that was cut off, or a size that is wrong.
             if at + 8 + size > n_bytes:
                 raise ArrayFileError("the file ends within an array")
             if kind in (_MATRIX, _COMPRESSED):
@@ -174,6 +194,7 @@ class MatlabFile(StoredArrays):
             return io.BufferedReader(section(self._file, start, size))
 
         part = _Part(opened, opened(), order)
+        # A stream of zlib holds one element, with a head of its own.
         if kind == _COMPRESSED:
             tag = part.tag()
             if tag.kind != _MATRIX:
@@ -200,6 +221,7 @@ class MatlabFile(StoredArrays):
         if not flags or min(sides, default=-1) < 0:
             raise ArrayFileError("an array is malformed")
 
+        # Of several structures in an array none has a name of its own: they are left out.
         kind = flags[0] & 0xFF
         if kind == _STRUCT and math.prod(sides) == 1 and depth < _MAX_DEPTH:
             self._add_fields(part, path, can_seek, depth)

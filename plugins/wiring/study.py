@@ -57,18 +57,26 @@ def run(out: Path, quick: bool, seed: int, executor: str) -> list[str]:
     n_frames = QUICK_FRAMES if quick else N_FRAMES
     frames = frames_of(n_frames, quick)
     rows = unrefused(experiment(frames, seeds).run(out, executor))
-    rows = rows.assign(body=named(rows), preset=rows["method"], kind=rows["phi"])
+    rows = rows.assign(
+        body=named(rows),
+        preset=rows["method"],
+        kind=rows["phi"],
+    )
 
     points = [{"seed": seed_of_point} for seed_of_point in seeds]
-    wires = method_rows(points, compute(wiring, points, out, executor, "wires"), "kind")
+    counted = compute(wiring, points, out, executor, "wires")
+    wires = method_rows(points, counted, "kind")
+    # The mean over the seeds.
     means = wires.groupby("kind", sort=False).mean(numeric_only=True)
     rows = rows.join(means.drop(columns="seed"), on="kind")
 
     # Loss against sums over the whole skin, of the same preset, body and seed.
     keys = ["preset", "body", "seed"]
-    scrambled_db = rows[rows["kind"] == SCRAMBLED].set_index(keys)["mean_db"]
-    places = pd.MultiIndex.from_frame(rows[keys])
-    rows["loss_db"] = scrambled_db.loc[places].to_numpy() - rows["mean_db"].to_numpy()
+    of_scrambled = rows[rows["kind"] == SCRAMBLED]
+    scrambled_db = of_scrambled.set_index(keys)["mean_db"]
+    same_frames = pd.MultiIndex.from_frame(rows[keys])
+    reference_db = scrambled_db.loc[same_frames].to_numpy()
+    rows["loss_db"] = reference_db - rows["mean_db"].to_numpy()
 
     page = Page(out, "wiring", Path(__file__).with_suffix(".md"), quick)
     page.section(
@@ -92,6 +100,7 @@ def run(out: Path, quick: bool, seed: int, executor: str) -> list[str]:
 def frames_of(n_frames: int, quick: bool) -> list[Frames]:
     """Bodies that press the skin, and a scene; a solver learns the noise of the first 10 frames."""
     skip = N_BEFORE - 10
+    # The scene is slow to simulate.
     frames: list[Frames] = []
     for body in BODIES:
         frames.append(PressFrames(body, SHAPE, N_BEFORE + n_frames, skip=skip))
@@ -122,7 +131,8 @@ def experiment(frames: list[Frames], seeds: range) -> Experiment:
 
 def conclusion(rows: pd.DataFrame) -> list[str]:
     """Loss and length of wires of other kinds against rows over the whole skin, default solver."""
-    mean = rows[rows["preset"] == "skin"].groupby("kind")[["loss_db", "length"]].mean()
+    of_default = rows[rows["preset"] == "skin"]
+    mean = of_default.groupby("kind")[["loss_db", "length"]].mean()
     whole_length = mean.loc[SCRAMBLED, "length"]
     texts = {
         LOCAL[0]: f"Rows over neighbourhoods ({LOCAL[0]})",
@@ -132,19 +142,23 @@ def conclusion(rows: pd.DataFrame) -> list[str]:
     lines = []
     for kind, text in texts.items():
         percent = 100 * mean.loc[kind, "length"] / whole_length
+        loss_db = mean.loc[kind, "loss_db"]
         lines.append(
             f"{text}: {percent:.0f} % of the length of the wires of rows over the whole skin, "
-            f"for {mean.loc[kind, 'loss_db']:.1f} dB."
+            f"for {loss_db:.1f} dB."
         )
     return lines
 
 
 def wiring(point: dict[str, Any]) -> dict[str, Any]:
     """Wires of each matrix. `point`: seed."""
+    # Wires of an array are those of the skin alone, whatever is read through them.
     n = math.prod(SHAPE)
     exists = np.ones(SHAPE, dtype=np.bool_)
     m = m_of(n, RATIO, ROTATING)
-    wiring_of_kind = {kind: array_wiring(*SHAPE, m) for kind in (ROW_LOCAL, SINGLE)}
+    wiring_of_kind = {}
+    for kind in (ROW_LOCAL, SINGLE):
+        wiring_of_kind[kind] = array_wiring(*SHAPE, m)
     for kind in (*LOCAL, SCRAMBLED):
         phi = make_phi(kind, n, m, point["seed"], BLOCK)
         phi.lay_out(exists)
@@ -161,12 +175,13 @@ def _table(rows: pd.DataFrame) -> str:
     # Mean, loss and the range of the losses with each preset.
     for preset in PRESET_ROWS:
         of_preset = rows[rows["preset"] == preset].groupby("kind", sort=False)
+        loss_db = of_preset["loss_db"]
         table[f"{preset}: mean dB"] = of_preset["mean_db"].mean()
-        table[f"{preset}: loss, dB"] = of_preset["loss_db"].mean()
-        table[f"{preset}: loss, least .. most"] = [
-            f"{rows_of_kind['loss_db'].min():.1f} .. {rows_of_kind['loss_db'].max():.1f}"
-            for _, rows_of_kind in of_preset
-        ]
+        table[f"{preset}: loss, dB"] = loss_db.mean()
+        ranges = []
+        for _, losses_db in loss_db:
+            ranges.append(f"{losses_db.min():.1f} .. {losses_db.max():.1f}")
+        table[f"{preset}: loss, least .. most"] = ranges
     names = {"length": "length, pitches", "lines": "wires a taxel"}
     forms = {
         "length, pitches": ",.0f",
@@ -247,6 +262,7 @@ def count_crossings(
         part = slice(k, k + _CHUNK)
         p = begins[part, None]
         q = ends[part, None]
+        # Two lines cross where each has the ends of the other on its two sides.
         parts_them = _side(p, q, begins) * _side(p, q, ends) < 0
         is_parted = _side(begins, ends, p) * _side(begins, ends, q) < 0
 

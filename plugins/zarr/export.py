@@ -75,11 +75,13 @@ def export_zarr(
             folder.mkdir(exist_ok=True)
             _write_json(folder / GROUP, {"zarr_format": 2})
 
+        # Episodes follow each other in one array: readers of the dataset cut them by their ends.
         times = _Rows(out / "data/timestamps", np.dtype("<f8"), ())
         rows: dict[str, _Rows] = {}
         ends = []
         for bag in bags:
             n_earlier = times.n
+            # An episode of no rows would have the end of the one before it.
             _add_episode(bag, topics, times, rows, out / "data", names)
             if times.n == n_earlier:
                 raise BagError(
@@ -106,6 +108,7 @@ def _topics_of(bag: BagReader, topics: Iterable[str] | None) -> list[str]:
         _, schema = split_topic(topic)
         if schema == Reconstruction.schema:
             reconstructed.append(topic)
+    # A recording of a sensor alone has none.
     return reconstructed or topics_found
 
 
@@ -118,8 +121,11 @@ def _names(topics: Sequence[str], side: str) -> dict[str, tuple[str, str]]:
         words = patch.split("_")
         sides_in_name = [word for word in words if word in SIDES]
         if patches.count(patch) > 1:
-            words.append(split_topic(topic)[1])
+            # Frames of a patch before and after reconstruction.
+            _, schema = split_topic(topic)
+            words.append(schema)
         group = "_".join(word for word in words if word not in SIDES) or "skin"
+        # A name with both words states none.
         side_of_topic = sides_in_name[0] if len(sides_in_name) == 1 else side
         names[topic] = (side_of_topic, group)
     if len({*names.values()}) < len(names):
@@ -155,6 +161,7 @@ def _add_episode(
                 side, group = names[topic]
                 path = folder / f"{side}_tactile_data_{group}"
                 rows[topic] = _Rows(path, np.dtype("<f4"), shape)
+            # An array has one shape: another skin in a later bag does not fit.
             if rows[topic].sides != shape:
                 shapes = f"frames of {shape[1:]} after some of {rows[topic].sides[1:]}"
                 raise BagError(
@@ -186,17 +193,20 @@ class _Rows:
 
     def finish(self, attributes: dict[str, Any]) -> None:
         """Write the last chunk and what states the array."""
-        # The rest of the last chunk is written, too.
-        if self.n % len(self._chunk):
-            self._chunk[self.n % len(self._chunk) :] = 0
+        # All chunks have one size: what is beyond the last row is 0.
+        n_in_last = self.n % len(self._chunk)
+        if n_in_last:
+            self._chunk[n_in_last:] = 0
             self._write()
         _write_head(self._folder, (self.n, *self.sides), self._chunk)
         _write_json(self._folder / ATTRIBUTES, attributes)
 
     def _write(self) -> None:
+        # Chunks are cut along the first axis alone: the other numbers are 0.
         number = (self.n - 1) // len(self._chunk)
         place = (number, *[0] * len(self.sides))
-        _write_chunk(self._folder / ".".join(map(str, place)), self._chunk)
+        name = ".".join(map(str, place))
+        _write_chunk(self._folder / name, self._chunk)
 
 
 def _write_constants(

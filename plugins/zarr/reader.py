@@ -67,6 +67,7 @@ class ZarrRecording(DatasetRecording):
         if match:
             topic = match[1]
             episode = int(match[2])
+        # Before the layout is read: the number of frames is that of the episode.
         arrays.choose_episode(episode, topic)
         layout = file.layout.stating({"topic": topic})
         super().__init__(replace(file, layout=layout), arrays)
@@ -107,6 +108,7 @@ class ZarrFolder(ArrayFile):
         or none is stated of several.
         """
         if EPISODES not in self.datasets:
+            # A folder of arrays that is no dataset of episodes.
             if number is not None:
                 raise SourceError(
                     f"{self.name}: topic: states episode {number}, but there are none"
@@ -121,12 +123,11 @@ class ZarrFolder(ArrayFile):
         if number is None and n > 1:
             name = topic or "NAME"
             ways = f"state topic={name}:0 .. topic={name}:{n - 1}"
-            names = (
-                ", ".join(printable(key) for key in self._tactile())
-                or "none of tactile data"
-            )
+            keys = [printable(key) for key in self._tactile()]
+            names = ", ".join(keys) or "none of tactile data"
             fault = f"holds {n} episodes, which is not stated: {ways}; arrays: {names}"
             raise UnstatedError(f"{self.name}: {fault}")
+        # One episode need not be stated.
         number = number or 0
         if number >= n or ends[number] >= ends[number + 1]:
             raise SourceError(f"{self.name}: topic: no episode {number}; it holds {n}")
@@ -135,6 +136,7 @@ class ZarrFolder(ArrayFile):
         self._frames = range(ends[number], ends[number + 1])
         self.notes = (f"episode {number} of {n}",)
         for key, dataset in [*self.datasets.items()]:
+            # Those describe all episodes.
             if key.startswith("meta/"):
                 continue
             if dataset.sides[:1] != (ends[-1],):
@@ -147,6 +149,7 @@ class ZarrFolder(ArrayFile):
         stored = self._stored[key]
         if not stored.sides:
             return self._part(key, ())
+        # In one block, whose size is checked before it is read.
         blocks = list(self.blocks(key, 0, max(1, stored.sides[0])))
         if not blocks:
             return np.empty(stored.sides, stored.dtype)
@@ -194,6 +197,7 @@ class ZarrFolder(ArrayFile):
             allowed = f"at most {MAX_CHUNKS} of {MAX_CHUNK_BYTES} bytes together"
             raise SourceError(f"{self.where(key)}: {fault}; {allowed}")
 
+        # Chunks that are not there cost nothing: a file of some bytes may state any shape.
         n_files_bytes = 0
         for folder, _, names in os.walk(stored.folder):
             for name in names:
@@ -217,6 +221,7 @@ class ZarrFolder(ArrayFile):
 
         for place in itertools.product(*numbers):
             chunk = self._chunk(key, place)
+            # The part is filled already.
             if chunk is None:
                 continue
 
@@ -235,6 +240,7 @@ class ZarrFolder(ArrayFile):
     def _chunk(self, key: str, place: tuple[int, ...]) -> npt.NDArray[Any] | None:
         """One chunk; None where its numbers are those that fill the array."""
         stored = self._stored[key]
+        # A number without axes is in chunk 0.
         name = stored.separator.join(map(str, place)) or "0"
         limit = stored.chunk_bytes + MAX_JSON_BYTES
         raw = _file_bytes(stored.folder / name, limit, self.where(key))
@@ -253,6 +259,7 @@ class ZarrFolder(ArrayFile):
             )
             raise SourceError(f"{self.where(key)}: {fault}")
 
+        # Read-only: what is read of it is copied.
         flat = np.frombuffer(plain, stored.dtype)
         if stored.order == "F":
             return flat.reshape(stored.chunks, order="F")
@@ -287,7 +294,9 @@ class ZarrFolder(ArrayFile):
         )
         if not is_sound:
             raise SourceError(f"{where}: {ARRAY} is malformed")
-        fill = 0 if fill is None or dtype.kind not in "iufb" else _fill(fill, where)
+        # Texts and objects have no number to fill with.
+        is_number = dtype.kind in "iufb"
+        fill = _fill(fill, where) if is_number and fill is not None else 0
         self._stored[path] = _Stored(
             folder / path, dtype, sides, chunks, codec, fill, order, separator
         )
@@ -297,6 +306,7 @@ class ZarrFolder(ArrayFile):
         axis_names = attributes.get(LABELS)
         if isinstance(axis_names, list) and len(axis_names) == len(sides):
             labels = tuple(map(str, axis_names))
+        # Those datasets state no labels, but have one layout.
         if SENSORS.search(path) and len(sides) > 1 and not labels:
             labels, names = _tactile_axes(sides)
         self.datasets[path] = Dataset(sides, dtype, labels, attributes, names)
@@ -326,7 +336,11 @@ def _arrays_of(
     in_small_letters = {
         str(name).lower(): value for name, value in attributes_here.items()
     }
-    attributes = {**outer, **in_small_letters, **attributes_here}
+    attributes = {
+        **outer,
+        **in_small_letters,
+        **attributes_here,
+    }
     if (group / ARRAY).is_file():
         yield path, attributes
         return
@@ -336,6 +350,7 @@ def _arrays_of(
         fault = "is of Zarr format 3; allowed is format 2, as zarr_format=2 writes it"
         raise SourceError(f"{where}: {fault}")
 
+    # A folder may hold any number of entries: no more are listed than are read.
     with os.scandir(group) as entries:
         few = itertools.islice(entries, MAX_ARRAYS)
         names = sorted(entry.name for entry in few if _is_folder(entry))
@@ -360,6 +375,7 @@ def _file_bytes(path: Path, limit: int, where: str) -> bytes | None:
         fault = f"cannot be read ({error.strerror})"
         raise SourceError(f"{where}: {shown(path.name)}: {fault}") from error
 
+    # One byte more than allowed shows that there are too many.
     with open(descriptor, "rb") as file:
         raw = file.read(limit + 1)
     if len(raw) > limit:
@@ -382,7 +398,11 @@ def _json(path: Path, where: str) -> dict[str, Any] | None:
 
 def _fill(value: Any, where: str) -> float | int | bool:
     """The number of places that are not stored."""
-    values = {"NaN": math.nan, "Infinity": math.inf, "-Infinity": -math.inf}
+    values = {
+        "NaN": math.nan,
+        "Infinity": math.inf,
+        "-Infinity": -math.inf,
+    }
     if isinstance(value, str) and value in values:
         return values[value]
     if isinstance(value, int | float):

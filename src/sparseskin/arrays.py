@@ -195,9 +195,11 @@ def _zeroed(
         reasons[k] = str(zero.reason)
     phi.reasons = tuple(reasons)
 
-    line = zero.doubt.line
+    lines = [zero.take_still()]
     # A frame alone may show a level, but not whether it stays.
-    if line and len(frames) > 1:
+    if len(frames) > 1:
+        lines.append(zero.doubt.line)
+    for line in filter(None, lines):
         warnings.warn(f"compress: {line}", RuntimeWarning, stacklevel=4)
     return forces
 

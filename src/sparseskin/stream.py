@@ -280,7 +280,7 @@ class Stream:
             if len(self._doubts) > MOST_WAITING:
                 oldest = next(iter(self._doubts))
                 del self._doubts[oldest]
-        line = self._zero.doubt.take_line()
+        line = self._zero.take_still() or self._zero.doubt.take_line()
         if line:
             warnings.warn(f"stream: {line}", RuntimeWarning, stacklevel=3)
 

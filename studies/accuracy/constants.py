@@ -24,8 +24,11 @@ GROWTHS = ("noise_growth", "bias_forgotten")
 UNCHANGED = "as they are"
 TIMES = (0.5, 2.0)
 FORMATS = {
-    **{"error, rotating rows, %": "+z.1f", "error, fixed rows, %": "+z.1f"},
-    **{"moving, dB": "+z.2f", "sudden, dB": "+z.2f", "marked, %": ".0f"},
+    "error, rotating rows, %": "+z.1f",
+    "error, fixed rows, %": "+z.1f",
+    "moving, dB": "+z.2f",
+    "sudden, dB": "+z.2f",
+    "marked, %": ".0f",
 }
 """Columns of the table, and formats of their changes."""
 LEAST_ERROR = 0.5

@@ -73,12 +73,16 @@ def rows(
     out: Path, executor: str, frames: Sequence[Frames], seeds: Sequence[int]
 ) -> pd.DataFrame:
     """A row a source, ratio and seed: figures of `ContactScores`."""
-    points = [
-        {"frames": of, "ratio": ratio, "seed": seed}
-        for of, ratio, seed in product(map(stated, frames), (1, *CONTACT_RATIOS), seeds)
-    ]
+    # Ratio 1: the reading of all taxels.
+    ratios = (1, *CONTACT_RATIOS)
+    points = []
+    for source, ratio, seed in product(map(stated, frames), ratios, seeds):
+        points.append({"frames": source, "ratio": ratio, "seed": seed})
     results = compute(followed, points, out, executor, "contacts")
-    keys = [{**p["frames"], "ratio": p["ratio"], "seed": p["seed"]} for p in points]
+    keys = []
+    for point in points:
+        key = {"ratio": point["ratio"], "seed": point["seed"]}
+        keys.append(point["frames"] | key)
     return method_rows(keys, results)
 
 
@@ -86,8 +90,11 @@ def followed(point: Mapping[str, Any]) -> dict[str, Any]:
     """Follow the contacts of a point's frames in the reconstruction; at ratio 1 in the reading."""
     take = opened(point)
     ratio = point["ratio"]
-    name = RAW if ratio == 1 else DEFAULT
-    candidate = Candidate(of="reading") if ratio == 1 else Candidate(PRESETS["skin"])
+    name = DEFAULT
+    candidate = Candidate(PRESETS["skin"])
+    if ratio == 1:
+        name = RAW
+        candidate = Candidate(of="reading")
     estimator = candidate.make(Measurement(ratio, ROTATING), take, point["seed"])
     scores = ContactScores(take)
     for part in take.parts():
@@ -100,11 +107,15 @@ class ContactScores:
 
     def __init__(self, take: Take) -> None:
         self._take = take
-        self.n_frames = self.n_ghosts = self.n_followed = self.n_lost = (
-            self.n_swapped
-        ) = 0
+        self.n_frames = 0
+        self.n_ghosts = 0
+        self.n_followed = 0
+        self.n_lost = 0
+        self.n_swapped = 0
         self.n_never = 0
-        self.n_true, self.n_missed = np.zeros((2, len(CLASSES)), dtype=np.intp)
+        # By class of the total force.
+        self.n_true = np.zeros(len(CLASSES), dtype=np.intp)
+        self.n_missed = np.zeros(len(CLASSES), dtype=np.intp)
         self.delays: list[int] = []
         self.off: list[float] = []
         self.relative: list[float] = []
@@ -132,15 +143,15 @@ class ContactScores:
             estimator.reset()
             estimator.solver.noise_sd = state.least_sd
             tracker.settle(len(estimator.phis))
+        # Until all rows have been read a few times at the largest ratio.
         n_early = EARLY * max(CONTACT_RATIOS)
         part = _Part()
         for k, (truth, taxels) in enumerate(frames):
             solved = estimator.reconstruct(taxels)
             self.n_bytes = solved.n_bytes or VALUE_BYTES * self._take.n
             stamp_ns = (k + 1) * FRAME_NS
-            common = solved.common_error
             tracked = tracker.update(
-                solved.forces, solved.error, stamp_ns, common=common
+                solved.forces, solved.error, stamp_ns, common=solved.common_error
             )
             contacts = joined([tracked])
             true_contacts = joined([true.update(truth, None, stamp_ns)])
@@ -148,9 +159,10 @@ class ContactScores:
                 part.seen |= set(true_contacts["id"].tolist())
                 continue
             self.n_frames += 1
-            regions, of_truth = (
-                tracker_of.regions.reshape(shape) for tracker_of in (tracker, true)
-            )
+            regions = tracker.regions.reshape(shape)
+            of_truth = true.regions.reshape(shape)
+
+            # A contact of which no taxel is near a touched one is a ghost.
             near = ndimage.binary_dilation(truth > 0, NEIGHBOURS)
             touching = np.unique(regions[near])
             self.n_ghosts += contacts["id"].size - int(np.count_nonzero(touching))
@@ -175,8 +187,11 @@ class ContactScores:
             if contact_id not in part.seen:
                 part.seen.add(contact_id)
                 part.begins[contact_id] = k
-            part.largest[contact_id] = max(total, part.largest.get(contact_id, 0.0))
-            counts = np.bincount(regions[region], minlength=contacts["id"].size + 1)[1:]
+            largest = part.largest.get(contact_id, 0.0)
+            part.largest[contact_id] = max(total, largest)
+            # Taxels that it shares with each contact; number 0 is none.
+            n_numbers = contacts["id"].size + 1
+            counts = np.bincount(regions[region], minlength=n_numbers)[1:]
             hit = counts.any()
             force = int(np.digitize(total, FORCES))
             self.n_true[force] += 1
@@ -188,11 +203,13 @@ class ContactScores:
                     self._found(truth, region, taxels, contacts, at[contact_id])
                 if contact_id in part.begins:
                     self.delays.append(k - part.begins.pop(contact_id))
-        for contact_id in [
-            contact_id for contact_id in part.begins if contact_id not in ids
-        ]:
+
+        # Those that have ended before they were found.
+        ended = [contact_id for contact_id in part.begins if contact_id not in ids]
+        for contact_id in ended:
             self.n_never += part.largest[contact_id] >= LEAST
             del part.begins[contact_id]
+        # Where two true contacts are one for the tracker, an id says nothing.
         numbers = contacts["id"].tolist()
         shared = Counter(at.values())
         for contact_id, row in at.items():
@@ -222,12 +239,11 @@ class ContactScores:
     ) -> None:
         """Compare the id found at a true contact with the one before."""
         self.n_followed += 1
-        owners = (
-            true_id
-            for true_id, followed in part.number_of_id.items()
-            if followed == number
-        )
-        owner = next(owners, contact_id)
+        owner = contact_id
+        for true_id, followed in part.number_of_id.items():
+            if followed == number:
+                owner = true_id
+                break
         if part.number_of_id.get(contact_id, number) != number:
             if owner != contact_id and owner not in ids:
                 return  # that one met this one, and they are one

@@ -91,7 +91,12 @@ SINGLE = {
     },
     **{
         f"Haar {label}, {weight:g}": Candidate(
-            {"solver": "fista", "basis": "haar", "iterations": n, "lambda_n": weight},
+            {
+                "solver": "fista",
+                "basis": "haar",
+                "iterations": n,
+                "lambda_n": weight,
+            },
             alone=True,
         )
         for label, n in ((FEW, 30), (MANY, 1000))
@@ -133,12 +138,21 @@ QUICK_RECORDED = 60
 PSNR = ("mean_db", "min_db", "first_db", "touched_mn", "n_contact")
 ERRORS = ("median", "mean", "vanished", "n_bytes", "n_contact")
 MARKS = (
-    *("flagged", "flagged_wrong", "n_wrong", "flagged_right", "n_right"),
-    *("flagged_poor", "n_flagged"),
+    "flagged",
+    "flagged_wrong",
+    "n_wrong",
+    "flagged_right",
+    "n_right",
+    "flagged_poor",
+    "n_flagged",
 )
 ESTIMATES = (
-    *("estimate_low", "estimate_median", "estimate_high", "estimate_close"),
-    *("held", "held_by_true"),
+    "estimate_low",
+    "estimate_median",
+    "estimate_high",
+    "estimate_close",
+    "held",
+    "held_by_true",
 )
 
 
@@ -160,9 +174,9 @@ class Runs:
         self._quick = quick
         self._seeds = seeds
         self._n_recorded = QUICK_RECORDED if quick else LONGEST_RECORDED
-        self._files = (
-            readable(files_in(recordings), self._n_recorded) if recordings else []
-        )
+        self._files: list[Path] = []
+        if recordings:
+            self._files = readable(files_in(recordings), self._n_recorded)
 
     def _rows(
         self,
@@ -174,20 +188,20 @@ class Runs:
         ratios: Sequence[int] = RATIOS,
     ) -> pd.DataFrame:
         """Rows of `CANDIDATES` at some ratios, and of the readings of all taxels at ratio 1."""
-        all_candidates = (
-            CANDIDATES | READINGS | {kind: Candidate(of=kind) for kind in CODECS}
+        packed = {kind: Candidate(of=kind) for kind in CODECS}
+        all_candidates = CANDIDATES | READINGS | packed
+        # Readings have no ratio: they are run once.
+        runs = (
+            (label, names, ratios),
+            (f"{label}, all taxels", readings, (1,)),
         )
-        parts = (label, names, ratios), (f"{label}, all taxels", readings, (1,))
-        return pd.concat(
-            self._run(
-                title,
-                frames,
-                [Measurement(n) for n in at],
-                {k: all_candidates[k] for k in of},
-                scores,
-            )
-            for title, of, at in parts
-        )
+        parts = []
+        for title, names_of_run, ratios_of_run in runs:
+            measurements = [Measurement(ratio) for ratio in ratios_of_run]
+            candidates = {name: all_candidates[name] for name in names_of_run}
+            rows = self._run(title, frames, measurements, candidates, scores)
+            parts.append(rows)
+        return pd.concat(parts)
 
     def _run(self, *parts: Any) -> pd.DataFrame:
         """Rows of an experiment of these parts."""
@@ -263,7 +277,13 @@ class Runs:
         stop = ALONE_FRAMES * 100
         measurements = [*map(Measurement, RATIOS)]
         scenes = [
-            SceneFrames(scene, first=0, stop=stop, every=100) for scene in SCENES[:4]
+            SceneFrames(
+                scene,
+                first=0,
+                stop=stop,
+                every=100,
+            )
+            for scene in SCENES[:4]
         ]
         frames: list[Frames] = [*self.recorded_frames(ALONE_FRAMES), *scenes]
         return self._run(
@@ -285,10 +305,12 @@ class Runs:
         scores = (*ERRORS, *MARKS, *ESTIMATES, "ghosts", "n_untouched")
         frames = self.recorded_frames()
         rows = self._rows("recordings", frames, tuple(CANDIDATES), scores, CODECS)
+        # Two files may differ in their suffix alone.
         stems = [path.stem for path in self._files]
-        labels = {
-            str(p): p.stem if stems.count(p.stem) == 1 else p.name for p in self._files
-        }
+        labels = {}
+        for path in self._files:
+            is_alone = stems.count(path.stem) == 1
+            labels[str(path)] = path.stem if is_alone else path.name
         return rows.assign(recording=rows["path"].map(labels))
 
 

@@ -72,7 +72,12 @@ def section(page: Page, executor: str, frames: Sequence[Frames], seed: int) -> s
     """Compute and add the section: `amplified` by source, ratio and rows; return its line."""
     kinds = product(map(stated, frames), (3, 8), (ROTATING, FIXED))
     points = [
-        {"frames": of, "N /": ratio, "rows": rows, "seed": seed}
+        {
+            "frames": of,
+            "N /": ratio,
+            "rows": rows,
+            "seed": seed,
+        }
         for of, ratio, rows in kinds
     ]
     points = [

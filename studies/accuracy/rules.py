@@ -288,7 +288,11 @@ COLUMNS = {
     "silent with its fault, %": Column("+z.1f", 1.0),
     "false alarms with its fault, %": Column("+z.1f", 1.0),
 }
-COUNTS = {"wrong": "wrong", "silent": "silent", "alarms": "false alarms"}
+COUNTS = {
+    "wrong": "wrong",
+    "silent": "silent",
+    "alarms": "false alarms",
+}
 """Counts of `Verdict`, and their names in columns."""
 NOTHING = "nothing"
 
@@ -324,13 +328,18 @@ def points(n_worlds: int, n_own: int, seed: int) -> list[dict[str, Any]]:
     """Drawn worlds without and with a fault, each with all rules and without each of them; and
     those of `OWN_FAULTS`.
     """
-    every = [
-        {"rule": name, "seed": 1000 * seed + k, "has_fault": has_fault}
+    of_all = [
+        {
+            "rule": name,
+            "seed": 1000 * seed + k,
+            "has_fault": has_fault,
+        }
         for k in range(n_worlds)
         for has_fault in (False, True)
         for name in (UNCHANGED, *RULES)
     ]
-    own = [
+    # Of the fault that a rule is for: with all rules, and without this one.
+    of_its_fault = [
         {
             "rule": name,
             "seed": 1000 * seed + k,
@@ -342,7 +351,7 @@ def points(n_worlds: int, n_own: int, seed: int) -> list[dict[str, Any]]:
         if rule in RULES
         for name in (UNCHANGED, rule)
     ]
-    return own + every
+    return of_its_fault + of_all
 
 
 def measure(point: dict[str, Any]) -> dict[str, Any]:
@@ -354,16 +363,24 @@ def measure(point: dict[str, Any]) -> dict[str, Any]:
     with switched_off(rule), np.errstate(all="ignore"):
         verdict = judge(world)
     is_still = world.load.motion == "still" and world.rows == ROTATING
-    return {**vars(verdict), "is_still": is_still, "fault": fault}
+    return {
+        **vars(verdict),
+        "is_still": is_still,
+        "fault": fault,
+    }
 
 
 def worlds(out: Path, executor: str, quick: bool, seed: int) -> pd.DataFrame:
     """Verdicts on `points`."""
-    n_worlds, n_own = (QUICK_WORLDS, QUICK_OWN) if quick else (N_WORLDS, N_OWN)
+    n_worlds = N_WORLDS
+    n_own = N_OWN
+    if quick:
+        n_worlds = QUICK_WORLDS
+        n_own = QUICK_OWN
     asked = points(n_worlds, n_own, seed)
-    rows = pd.DataFrame(
-        compute_rows(measure, asked, out, executor, "rules")
-    ).drop_duplicates(["rule", "seed", "has_fault", "fault"])
+    rows = pd.DataFrame(compute_rows(measure, asked, out, executor, "rules"))
+    # Two rules may be for one fault: its worlds with all rules are the same.
+    rows = rows.drop_duplicates(["rule", "seed", "has_fault", "fault"])
     return rows.drop(columns="reasons").astype({"error": float, "reading": float})
 
 
@@ -399,12 +416,15 @@ def _shares(rows: pd.DataFrame, ending: str) -> pd.DataFrame:
 
 def changes_of_worlds(rows: pd.DataFrame) -> pd.DataFrame:
     """Changes of the figures of `worlds` without each rule; also of those of its own fault."""
-    in_worlds = figures_of_worlds(rows)
-    of_own = []
+    figures = figures_of_worlds(rows)
+    changes = figures - figures.loc[UNCHANGED]
+    changes_of_own = []
     for name in OWN_FAULTS.keys() & RULES.keys():
-        shares = _shares(rows[rows["fault"] == OWN_FAULTS[name]], " with its fault")
-        of_own.append((shares - shares.loc[UNCHANGED]).loc[[name]])
-    return pd.concat([in_worlds - in_worlds.loc[UNCHANGED], pd.concat(of_own)], axis=1)
+        of_fault = rows[rows["fault"] == OWN_FAULTS[name]]
+        shares = _shares(of_fault, " with its fault")
+        without_rule = shares.loc[[name]]
+        changes_of_own.append(without_rule - shares.loc[UNCHANGED])
+    return pd.concat([changes, pd.concat(changes_of_own)], axis=1)
 
 
 def table(scores: pd.DataFrame, of_worlds: pd.DataFrame) -> pd.DataFrame:
@@ -418,7 +438,13 @@ def table(scores: pd.DataFrame, of_worlds: pd.DataFrame) -> pd.DataFrame:
     base = pd.concat([of_scores.loc[UNCHANGED], in_worlds.loc[UNCHANGED]])
     made = pd.concat([changes(of_scores), changes_of_worlds(of_worlds)], axis=1)
 
-    lines = [{"rule": UNCHANGED, "off by": "", "its fault": ""}]
+    lines = [
+        {
+            "rule": UNCHANGED,
+            "off by": "",
+            "its fault": "",
+        }
+    ]
     lines[0] |= {key: f"{base[key]:.3g}" for key in COLUMNS if key in base}
     for name, rule in RULES.items():
         line = {

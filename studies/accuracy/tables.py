@@ -85,8 +85,16 @@ def run(
         "dead_zone_n": DEAD_ZONE_N,
     }
     ratios = " / ".join(f"N/{ratio}" for ratio in RATIOS)
-    page.section("", value_bytes=VALUE_BYTES, ratios=ratios, seeds=seeds, **of_filter)
-    lines = recorded(page, runs, quick) if recordings else []
+    page.section(
+        "",
+        value_bytes=VALUE_BYTES,
+        ratios=ratios,
+        seeds=seeds,
+        **of_filter,
+    )
+    lines = []
+    if recordings:
+        lines += recorded(page, runs, quick)
     lines += [scenes(page, runs), rates(page, runs), moving(page, runs)]
     sizes(page, runs)
     of_contacts = [*contacts.sources(quick), *runs.recorded_frames()]
@@ -96,7 +104,8 @@ def run(
     if constants:
         varied(page, runs)
         without_rules(page, runs, executor, quick, seed)
-    lines += [single(page, runs)] if alone else []
+    if alone:
+        lines.append(single(page, runs))
     page.write(lines)
     return lines
 
@@ -107,20 +116,16 @@ def by_ratio(rows: pd.DataFrame, keys: Sequence[str], text: str) -> pd.DataFrame
     `text`: cell of one ratio, as "{mean_db:.1f}"; methods that have no figure are left out.
     """
     figures = [name for name in rows.columns if f"{{{name}:" in text]
-    complete = rows[rows[figures].notna().all(axis=1)].astype(
-        dict.fromkeys(figures, float)
-    )
-    means = (
-        complete.groupby([*keys, "method", "ratio"], sort=False)[figures]
-        .mean()
-        .reset_index()
-    )
-    means = means.assign(cell=cells(means, text)).sort_values("ratio", kind="stable")
-    joined = (
-        means.groupby([*keys, "method"], sort=False)["cell"]
-        .agg(" / ".join)
-        .unstack("method")
-    )
+    is_complete = rows[figures].notna().all(axis=1)
+    complete = rows[is_complete].astype(dict.fromkeys(figures, float))
+    groups = complete.groupby([*keys, "method", "ratio"], sort=False)
+    means = groups[figures].mean().reset_index()
+
+    # The cells of a method side by side, by ratio.
+    means = means.assign(cell=cells(means, text))
+    means = means.sort_values("ratio", kind="stable")
+    of_method = means.groupby([*keys, "method"], sort=False)["cell"]
+    joined = of_method.agg(" / ".join).unstack("method")
     lines = complete[list(keys)].drop_duplicates()
     order = [name for name in METHODS if name in joined]
     return lines.join(joined[order], on=list(keys)).fillna("-")
@@ -128,24 +133,27 @@ def by_ratio(rows: pd.DataFrame, keys: Sequence[str], text: str) -> pd.DataFrame
 
 def over(rows: pd.DataFrame, keys: Sequence[str], reference: str) -> pd.Series:
     """PSNR of each row above that of a method on the same frames, dB; of its own ratio, or of 1."""
-    of = rows[rows["method"] == reference]
-    by = [*keys, "seed"] + (["ratio"] if of["ratio"].nunique() > 1 else [])
-    base = of.set_index(by)["mean_db"].astype(float)
-    return (
-        rows["mean_db"].astype(float)
-        - base.reindex(pd.MultiIndex.from_frame(rows[by])).array
-    )
+    of_reference = rows[rows["method"] == reference]
+    by = [*keys, "seed"]
+    if of_reference["ratio"].nunique() > 1:
+        by.append("ratio")
+    base_db = of_reference.set_index(by)["mean_db"].astype(float)
+    same_frames = pd.MultiIndex.from_frame(rows[by])
+    return rows["mean_db"].astype(float) - base_db.reindex(same_frames).array
+
+
+def _size_text(scene: str) -> str:
+    """Rows and columns of a scene."""
+    n_rows, n_cols = scene_of(scene).shape
+    return f"{n_rows} x {n_cols}"
 
 
 def scenes(page: Page, runs: Runs) -> str:
     """Simulated scenes at their own rate: gain over preset paper, and PSNR."""
     rows = runs.scenes()
-    rows["taxels"] = rows["scene"].map(
-        lambda scene: "{} x {}".format(*scene_of(scene).shape)
-    )
-    rows["gain"], rows["over_raw"] = (
-        over(rows, ["scene"], name) for name in (PAPER, RAW)
-    )
+    rows["taxels"] = rows["scene"].map(_size_text)
+    rows["gain"] = over(rows, ["scene"], PAPER)
+    rows["over_raw"] = over(rows, ["scene"], RAW)
     ours = rows[rows["method"].isin([DEFAULT, SKIN])]
     page.csv("scenes", rows)
     page.section(
@@ -162,7 +170,8 @@ def scenes(page: Page, runs: Runs) -> str:
         by_ratio(rows, ["scene"], "{touched_mn:.1f}"),
         *marks(rows, ["scene"]),
     )
-    of_default = ours[(ours["method"] == DEFAULT) & (ours["ratio"] == RATIOS[0])]
+    is_first = ours["ratio"] == RATIOS[0]
+    of_default = ours[(ours["method"] == DEFAULT) & is_first]
     means = of_default.groupby("taxels", sort=False)["gain"].mean()
     gains = ", ".join(f"{gain:+.1f} dB ({taxels})" for taxels, gain in means.items())
     return f"Gain of {DEFAULT} over preset paper at N/{RATIOS[0]}, simulated scenes: {gains}."
@@ -187,10 +196,10 @@ def rates(page: Page, runs: Runs) -> str:
     gain_texts = []
     for method in (PAPER, FILTERED):
         gain = means[DEFAULT] - means[method]
+        # The highest rate, and the lowest.
         ends = (rows["spacing_ms"].min(), rows["spacing_ms"].max())
-        gain_texts.append(
-            ", ".join(f"{gain[ms]:+.1f} dB at {1000 / ms:.0f} Hz" for ms in ends)
-        )
+        texts = [f"{gain[ms]:+.1f} dB at {1000 / ms:.0f} Hz" for ms in ends]
+        gain_texts.append(", ".join(texts))
     over_paper, over_filter = gain_texts
     return f"{DEFAULT} at N/3 against preset paper: {over_paper}; against a filter: {over_filter}."
 
@@ -213,25 +222,24 @@ def moving(page: Page, runs: Runs) -> str:
         touched=100 * TOUCHED,
         speed=SPEED,
     )
-    mean_of = (
-        rows[rows["ratio"].isin([1, RATIOS[0]])]
-        .groupby(["course", "method"])["mean_db"]
-        .mean()
-    )
-    courses = [
-        f"{of}: "
-        + ", ".join(f"{name} {mean_of[of, name]:.1f}" for name in (DEFAULT, PAPER, RAW))
-        for of in rows["course"].unique()
-    ]
+    compared = rows[rows["ratio"].isin([1, RATIOS[0]])]
+    mean_db = compared.groupby(["course", "method"])["mean_db"].mean()
+    courses = []
+    for course in rows["course"].unique():
+        texts = []
+        for method in (DEFAULT, PAPER, RAW):
+            texts.append(f"{method} {mean_db[course, method]:.1f}")
+        courses.append(f"{course}: {', '.join(texts)}")
     return f"Bodies at N/{RATIOS[0]}, mean PSNR in dB: {'; '.join(courses)}."
 
 
 def sizes(page: Page, runs: Runs) -> None:
     """Contacts on small skins: how far off a reconstruction is, and which contacts it loses."""
     rows = runs.sizes()
-    numbers = [
-        f", {n:.0f} taxels" if n > 0 else "" for n in rows["n_scattered"].astype(float)
-    ]
+    # Of a skin of scattered taxels, their number beside the size of the grid.
+    numbers = []
+    for n in rows["n_scattered"].astype(float):
+        numbers.append(f", {n:.0f} taxels" if n > 0 else "")
     rows["taxels"] = rows["shape"].map("{0[0]} x {0[1]}".format) + numbers
     page.csv("sizes", rows)
     page.section(
@@ -251,21 +259,19 @@ def single(page: Page, runs: Runs) -> str:
     rows["of"] = names.fillna(rows["scene"])
     rows["method"] = rows["method"].str.rsplit(", ", n=1).str[0]
     rows = rows.astype({"median": float, "mean_ms": float})
-    best = rows.loc[
-        rows.groupby(["of", "ratio", "method"], sort=False)["median"].idxmin()
-    ]
+    # The weight that is best in hindsight.
+    groups = rows.groupby(["of", "ratio", "method"], sort=False)
+    best = rows.loc[groups["median"].idxmin()]
     page.csv("alone", best.drop(columns=["path"]))
     text = best.assign(cell=cells(best, "{median:.1f}"))
-    joined = (
-        text.groupby(["of", "method"], sort=False)["cell"]
-        .agg(" / ".join)
-        .unstack("method")
-    )
+    of_method = text.groupby(["of", "method"], sort=False)["cell"]
+    joined = of_method.agg(" / ".join).unstack("method")
     times = best.groupby("method", sort=False)["mean_ms"].median()
     ours = best[best["method"] == SKIN].set_index(["of", "ratio"])["median"]
     parts = []
-    for method, of_method in best[best["method"] != SKIN].groupby("method", sort=False):
-        medians = of_method.set_index(["of", "ratio"])["median"]
+    beside_ours = best[best["method"] != SKIN]
+    for method, of_other in beside_ours.groupby("method", sort=False):
+        medians = of_other.set_index(["of", "ratio"])["median"]
         ahead = int((ours <= medians).sum())
         ms = f"{times[method]:.2g} ms"
         parts.append(f"{method} ({ms}) in {ahead} of {len(medians)}")
@@ -284,6 +290,7 @@ def touched(page: Page, rows: pd.DataFrame) -> str:
     rows["frames"] = [*map(_source, of_frames.itertuples())]
     page.csv("contacts", rows.drop(columns=["path"], errors="ignore"))
     sums = _missed(rows)
+    by_source = rows.assign(missed=100 - rows["found"].astype(float))
     keys = ["frames"]
     page.section(
         "Contacts",
@@ -295,9 +302,7 @@ def touched(page: Page, rows: pd.DataFrame) -> str:
         "of a taxel:",
         by_ratio(sums, ["force"], "{missed:.1f}"),
         "The same by source:",
-        by_ratio(
-            rows.assign(missed=100 - rows["found"].astype(float)), keys, "{missed:.1f}"
-        ),
+        by_ratio(by_source, keys, "{missed:.1f}"),
         "Contacts where nothing touches, in 1000 frames:",
         by_ratio(rows, keys, "{ghosts:.0f}"),
         "Median error of the centre in mm:",
@@ -315,10 +320,12 @@ def touched(page: Page, rows: pd.DataFrame) -> str:
         least=contacts.LEAST,
         ratios=" / ".join(f"N/{ratio}" for ratio in contacts.CONTACT_RATIOS),
     )
-    means = rows.astype({"found": float}).groupby(["method", "ratio"])["found"].mean()
-    ours = ", ".join(
-        f"{mean:.1f} % at N/{ratio:g}" for ratio, mean in means[DEFAULT].items()
-    )
+    groups = rows.astype({"found": float}).groupby(["method", "ratio"])
+    means = groups["found"].mean()
+    texts = []
+    for ratio, mean in means[DEFAULT].items():
+        texts.append(f"{mean:.1f} % at N/{ratio:g}")
+    ours = ", ".join(texts)
     reading = means[RAW].iloc[0]
     return f"Contacts found, mean over the sources: {ours}, {reading:.1f} % in the full reading."
 
@@ -327,23 +334,27 @@ def _missed(rows: pd.DataFrame) -> pd.DataFrame:
     """True contacts that are missed, in %, by class of their force, method and ratio."""
     classes = rows.explode(["n_true", "n_missed"])
     classes["force"] = list(contacts.CLASSES) * len(rows)
-    sums = classes.groupby(["force", "method", "ratio"], sort=False)[
-        ["n_true", "n_missed"]
-    ].sum()
+    groups = classes.groupby(["force", "method", "ratio"], sort=False)
+    sums = groups[["n_true", "n_missed"]].sum()
     sums = sums[sums["n_true"] > 0].reset_index()
     sums["missed"] = 100 * sums["n_missed"] / sums["n_true"]
-    classes_there = [c for c in contacts.CLASSES if c in set(sums["force"])]
-    return sums.set_index("force").loc[classes_there].reset_index()
+    # In the order of the forces.
+    has_contacts = set(sums["force"])
+    order = [name for name in contacts.CLASSES if name in has_contacts]
+    return sums.set_index("force").loc[order].reset_index()
 
 
-def _source(one: Any) -> str:
+def _source(row: Any) -> str:
     """Name of frames: that of the file or scene, body and course, or kind."""
-    if isinstance(one.body, str):
-        return f"{one.body} {one.course}{f' x {one.strength:g}' if one.strength < 1 else ''}"
-    file_names = (
-        Path(name).stem for name in (one.path, one.scene) if isinstance(name, str)
-    )
-    return next(file_names, one.kind.removesuffix("Frames").lower())
+    # A field that frames of this kind lack is NaN.
+    if isinstance(row.body, str):
+        strength = f" x {row.strength:g}" if row.strength < 1 else ""
+        return f"{row.body} {row.course}{strength}"
+    for name in (row.path, row.scene):
+        if isinstance(name, str):
+            return Path(name).stem
+    kind: str = row.kind
+    return kind.removesuffix("Frames").lower()
 
 
 def varied(page: Page, runs: Runs) -> None:
@@ -354,7 +365,11 @@ def varied(page: Page, runs: Runs) -> None:
     names = rows["path"].map(lambda path: Path(path).name, "ignore")
     page.csv("constants", rows.assign(recording=names).drop(columns=["path"]))
     page.section(
-        "Constants", changes, least=LEAST_ERROR, ratio=max(RATIOS), wrong=100 * WRONG
+        "Constants",
+        changes,
+        least=LEAST_ERROR,
+        ratio=max(RATIOS),
+        wrong=100 * WRONG,
     )
 
 
@@ -362,15 +377,18 @@ def without_rules(
     page: Page, runs: Runs, executor: str, quick: bool, seed: int
 ) -> None:
     """Rules of the default solver and of the search for faults, each switched off."""
-    rows = runs.constants(
-        {UNCHANGED: Candidate(PRESETS["skin"]), **rules.candidates()}, "rules"
-    )
+    unchanged = {UNCHANGED: Candidate(PRESETS["skin"])}
+    rows = runs.constants(unchanged | rules.candidates(), "rules")
     n_worlds = rules.QUICK_WORLDS if quick else rules.N_WORLDS
     of_worlds = rules.worlds(page.out, executor, quick, seed)
     lines = rules.table(rows, of_worlds)
     print(markdown(lines))
     page.csv("rules", of_worlds)
-    names = {"far": f"{FAR_FROM_READING:g}", "residue": f"{RESIDUE:.0%}", "n": n_worlds}
+    names = {
+        "far": f"{FAR_FROM_READING:g}",
+        "residue": f"{RESIDUE:.0%}",
+        "n": n_worlds,
+    }
     page.section("Rules", lines, ratio=max(RATIOS), **names)
 
 
@@ -535,7 +553,9 @@ def facts(rows: pd.DataFrame, n_most: int) -> pd.DataFrame:
         stop = part.first + len(part.frames)
         lines.append(
             {
-                **{"recording": name, "N": x.shape[1], "unit": part.unit},
+                "recording": name,
+                "N": x.shape[1],
+                "unit": part.unit,
                 "grid": "{} x {}".format(*part.mask.shape),
                 "frames": f"{part.first}..{stop - 1} of {part.n_recorded}",
                 "loaded": int(of_part["n_contact"].max() or 0),
@@ -596,7 +616,14 @@ def _draw_rates(out: Path, rows: pd.DataFrame) -> str:
     ticks = [1000 / rate for rate in RATES_HZ]
     labels = [f"{rate}\n{ms:.3g}" for rate, ms in zip(RATES_HZ, ticks, strict=True)]
     with Chart(
-        out, "gain", caption, n, n, size_in=(9.5, 4.4), legend_columns=3, sharey=True
+        out,
+        "gain",
+        caption,
+        n,
+        n,
+        size_in=(9.5, 4.4),
+        legend_columns=3,
+        sharey=True,
     ) as chart:
         for axes, scene in zip(chart.panels, RATED_SCENES, strict=True):
             of_scene = rows[(rows["scene"] == scene) & rows["method"].isin(drawn)]

@@ -82,7 +82,8 @@ def _pylops_operator(problem: Bpdn) -> Any:
         def _rmatvec(self, x: Any) -> Any:
             return problem.adjoint(x)
 
-    return Operator(dtype=np.dtype(np.float32), shape=(problem.phi.m, problem.phi.n))
+    shape = (problem.phi.m, problem.phi.n)
+    return Operator(dtype=np.dtype(np.float32), shape=shape)
 
 
 def _pylops(problem: Bpdn) -> Solve:
@@ -95,7 +96,14 @@ def _pylops(problem: Bpdn) -> Solve:
     settings |= {"tol": 0, "preallocate": True}
 
     def solve(y: Floats, start: Floats, iterations: int) -> Any:
-        return fista(operator, y, x0=start, niter=iterations, **settings)[0]
+        theta, *_ = fista(
+            operator,
+            y,
+            x0=start,
+            niter=iterations,
+            **settings,
+        )
+        return theta
 
     return solve
 
@@ -111,7 +119,13 @@ def _pyproximal(problem: Bpdn) -> Solve:
 
     def solve(y: Floats, start: Floats, iterations: int) -> Any:
         distance = L2(Op=operator, b=y)
-        return ProximalGradient(distance, l1, x0=start, niter=iterations, **settings)
+        return ProximalGradient(
+            distance,
+            l1,
+            x0=start,
+            niter=iterations,
+            **settings,
+        )
 
     return solve
 
@@ -124,7 +138,11 @@ def _sigpy(problem: Bpdn) -> Solve:
     m = problem.phi.m
     operator = _sigpy_operator(problem.forward, problem.adjoint, (n,), (m,))
     proximal = sigpy.prox.L1Reg([n], problem.lambda_n)
-    settings = {"proxg": proximal, "alpha": 1.0, "show_pbar": False}
+    settings = {
+        "proxg": proximal,
+        "alpha": 1.0,
+        "show_pbar": False,
+    }
 
     def solve(y: Floats, start: Floats, iterations: int) -> Any:
         of_call = {"x": start.copy(), "max_iter": iterations}
@@ -149,10 +167,15 @@ def _spgl1(problem: Bpdn) -> Solve:
     logging.getLogger("spgl1").setLevel(logging.ERROR)
 
     def solve(y: Floats, start: Floats, iterations: int) -> Any:
-        settings = {"x0": start, "iter_lim": iterations, "verbosity": 0}
+        settings = {
+            "x0": start,
+            "iter_lim": iterations,
+            "verbosity": 0,
+        }
         # It prints that a search was cut short, as all are here, whatever its verbosity.
         with contextlib.redirect_stdout(io.StringIO()):
-            return spgl1(operator, y, sigma=bound_n, **settings)[0]
+            theta, *_ = spgl1(operator, y, sigma=bound_n, **settings)
+        return theta
 
     return solve
 
@@ -201,13 +224,18 @@ class TotalVariation:
         self._flat = np.flatnonzero(mask)
         differences = sigpy.linop.FiniteDifference(list(mask.shape))
         proximal = sigpy.prox.L1Reg(differences.oshape, weight)
-        self._settings = {"G": differences, "proxg": proximal, "max_iter": iterations}
+        self._settings = {
+            "G": differences,
+            "proxg": proximal,
+            "max_iter": iterations,
+        }
         self._operator = _sigpy_operator(
-            lambda x: phi.forward(x.reshape(-1)[self._flat]),
-            self._image,
-            mask.shape,
-            (phi.m,),
+            self._measurements, self._image, mask.shape, (phi.m,)
         )
+
+    def _measurements(self, x: Any) -> Floats:
+        forces = x.reshape(-1)[self._flat]
+        return self._phi.forward(forces)
 
     def _image(self, y: Any) -> Floats:
         image = np.zeros(self._mask.shape, dtype=np.float32)
@@ -223,10 +251,13 @@ class TotalVariation:
         begin = time.perf_counter()
         # Its soft threshold divides 0 by 0.
         with np.errstate(invalid="ignore"):
-            solver = sigpy.app.LinearLeastSquares
-            x = solver(self._operator, y, show_pbar=False, **self._settings).run()
-        forces = np.where(self._mask, np.maximum(x, 0), 0).astype(np.float32)
-        return Solved(forces, wall_s=time.perf_counter() - begin)
+            solver = sigpy.app.LinearLeastSquares(
+                self._operator, y, show_pbar=False, **self._settings
+            )
+            x = solver.run()
+        forces = np.where(self._mask, np.maximum(x, 0), 0)
+        wall_s = time.perf_counter() - begin
+        return Solved(forces.astype(np.float32), wall_s=wall_s)
 
 
 def _sigpy_operator(

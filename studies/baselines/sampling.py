@@ -44,8 +44,9 @@ class Filtered:
         if self._mean is None:
             self._mean = taxels.copy()
         change = taxels - self._mean
-        jumps = np.abs(change) > JUMP_SIGMAS * self._noise.sigma(self._mean)
-        self._mean += np.where(jumps, np.float32(1), np.float32(NEWEST)) * change
+        bound = JUMP_SIGMAS * self._noise.sigma(self._mean)
+        weight = np.where(np.abs(change) > bound, np.float32(1), np.float32(NEWEST))
+        self._mean += weight * change
         forces = np.where(self._mean < DEAD_ZONE_N, np.float32(0), self._mean)
         return Solved(forces, n_bytes=VALUE_BYTES * taxels.size)
 
@@ -59,10 +60,15 @@ class Lattice:
 
     def __init__(self, mask: Mask, ratio: int) -> None:
         n_max = math.ceil(np.count_nonzero(mask) / ratio)
-        allowed = [cells for cells in classes(mask, ratio) if 0 < cells.size <= n_max]
+        allowed = []
+        for cells in classes(mask, ratio):
+            if 0 < cells.size <= n_max:
+                allowed.append(cells)
         # A mask of few cells may have them all in one class.
-        allowed = allowed or [np.flatnonzero(mask)[::ratio]]
-        self._read = max(allowed, key=lambda cells: cells.size)
+        if not allowed:
+            allowed = [np.flatnonzero(mask)[::ratio]]
+        self._read = max(allowed, key=np.size)
+
         self._places = np.argwhere(np.ones_like(mask)).astype(np.float64)
         read_places = self._places[self._read]
         self._nearest = cKDTree(read_places).query(self._places)[1]
@@ -78,9 +84,13 @@ class Lattice:
         values = taxels.reshape(-1)[self._read]
         filled = values[self._nearest]
         if self._triangles is not None:
-            within = LinearNDInterpolator(self._triangles, values)(self._places)
-            filled = np.where(np.isnan(within), filled, within).astype(np.float32)
-        forces = np.where(self._mask, filled.reshape(taxels.shape), np.float32(0))
+            # Outside the triangles it is NaN: there the nearest one counts.
+            interpolate = LinearNDInterpolator(self._triangles, values)
+            within = interpolate(self._places)
+            is_outside = np.isnan(within)
+            filled = np.where(is_outside, filled, within).astype(np.float32)
+        image = filled.reshape(taxels.shape)
+        forces = np.where(self._mask, image, np.float32(0))
         return Solved(forces, n_bytes=VALUE_BYTES * self.n_values)
 
 
@@ -101,7 +111,8 @@ class Hold:
         read = self._classes[self._frame % len(self._classes)]
         self._frame += 1
         self._held[read] = taxels.reshape(-1)[read]
-        return Solved(self._held.reshape(taxels.shape).copy(), n_bytes=self._n_bytes)
+        forces = self._held.reshape(taxels.shape).copy()
+        return Solved(forces, n_bytes=self._n_bytes)
 
 
 class Codec:
@@ -121,7 +132,8 @@ class Codec:
     def reconstruct(self, taxels: Floats) -> Solved:
         """See `Estimator`."""
         x = taxels.reshape(-1)[self._taxels]
-        codes = np.rint(np.clip(x * self._scale, 0, N_CODES)).astype(np.uint8)
+        scaled = np.clip(x * self._scale, 0, N_CODES)
+        codes = np.rint(scaled).astype(np.uint8)
         if self._kind == "touched":
             n_touched = int(np.count_nonzero(codes))
             n_bytes = n_touched + address_bytes(codes.size, n_touched)
@@ -158,11 +170,12 @@ def _slope(k: int) -> int:
     """Return s of the lattice of cells with (i + s j) mod k = 0 whose least distance is largest."""
 
     i, j = np.mgrid[-k : k + 1, -k : k + 1]
-    distance2 = i * i + j * j
+    squared_distance = i * i + j * j
+    is_another = squared_distance > 0
 
     def least(s: int) -> int:
-        is_of_class = ((i + s * j) % k == 0) & (distance2 > 0)
-        return int(distance2[is_of_class].min())
+        is_of_class = (i + s * j) % k == 0
+        return int(squared_distance[is_of_class & is_another].min())
 
     return max(range(k), key=least)
 
@@ -170,4 +183,6 @@ def _slope(k: int) -> int:
 def address_bytes(n: int, m: int) -> int:
     """Bytes that state which m of n taxels are sent: a bit a taxel, or a number each."""
     number_bits = max(1, (n - 1).bit_length())
-    return min(math.ceil(n / 8), math.ceil(m * number_bits / 8))
+    bytes_of_bits = math.ceil(n / 8)
+    bytes_of_numbers = math.ceil(m * number_bits / 8)
+    return min(bytes_of_bits, bytes_of_numbers)

@@ -36,12 +36,22 @@ def draw_maps(out: Path, scene: str, maps: Mapping[str, Any]) -> str:
             noisy = f"noisy, {noisy_db:.1f} dB"
             notes = ("true", noisy, f"reconstructed, {ours_db:.1f} dB")
             for axes, image, note in zip(row, images, notes, strict=True):
-                drawn = axes.imshow(image, cmap="viridis", origin="lower", **scale)
+                drawn = axes.imshow(
+                    image,
+                    cmap="viridis",
+                    origin="lower",
+                    **scale,
+                )
                 axes.set(title=note, xlabel="column")
                 axes.grid(False)
             time_ms = frame * scene_of(scene).dt_ns * 1e-6
             row[0].set_ylabel(f"{title}, {time_ms:.1f} ms\nrow")
-            chart.figure.colorbar(drawn, ax=row, label="force in N", shrink=0.9)
+            chart.figure.colorbar(
+                drawn,
+                ax=row,
+                label="force in N",
+                shrink=0.9,
+            )
     return chart.markdown
 
 
@@ -54,8 +64,11 @@ def draw_sequences(out: Path, results: Results, by: str) -> str:
     series["noisy"] = results.ours(scene, 1)
     contact = results.contact(scene)
     begin_of_scene = results.scenes[scene]["first"]
-    begin = max(0, int(np.argmax(contact)) - 50)
-    begins = {"representative": _longest_contact(contact), "first contact": begin}
+    landing = max(0, int(np.argmax(contact)) - 50)
+    begins = {
+        "representative": _longest_contact(contact),
+        "first contact": landing,
+    }
     caption = f"PSNR over time, {PAPER[scene].title} 64 x 64, preset paper"
     name = f"psnr_by_{by.lower()}"
     with Chart(out, name, caption, 2, 2, size_in=(9.0, 4.2)) as chart:
@@ -64,7 +77,8 @@ def draw_sequences(out: Path, results: Results, by: str) -> str:
             frames = np.arange(part.start, part.stop) + begin_of_scene
             times_ms = frames * scene_of(scene).dt_ns * 1e-6
             for k, (label, values) in enumerate(series.items()):
-                k = -1 if label == "noisy" else k
+                if label == "noisy":
+                    k = -1
                 # Few marks, not at the same times: those of one line do not hide another's.
                 style: Style = {
                     "color": PALETTE[k],
@@ -72,14 +86,26 @@ def draw_sequences(out: Path, results: Results, by: str) -> str:
                     "marker": MARKERS[k],
                     "markevery": (k * 5 % 30, max(1, len(times_ms) // 8)),
                 }
-                axes.plot(times_ms, values[part], label=label, markersize=4, **style)
-            axes.set(title=title, xlabel="time in the scene in ms", ylabel="PSNR in dB")
+                axes.plot(
+                    times_ms,
+                    values[part],
+                    label=label,
+                    markersize=4,
+                    **style,
+                )
+            axes.set(
+                title=title,
+                xlabel="time in the scene in ms",
+                ylabel="PSNR in dB",
+            )
     return chart.markdown
 
 
 def _longest_contact(contact: npt.NDArray[np.bool_]) -> int:
     """First of the middle frames of the longest contact: forces change slowly there."""
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], contact, [False]])))
+    # A contact begins and ends where the mark changes.
+    padded = np.pad(contact, 1)
+    edges = np.flatnonzero(np.diff(padded))
     begins = edges[::2]
     ends = edges[1::2]
     longest = int(np.argmax(ends - begins))

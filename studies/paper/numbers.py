@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from itertools import product
 from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
@@ -69,43 +70,94 @@ class Scenario(NamedTuple):
 
 PAPER = {
     "lift_box_40": Scenario(
-        "LIFT BOX",
-        *(1600, 700, Counts(108.3, 266), Counts(750.1, 1575)),
-        Psnr(46.5, 39.1, 48.7),
-        (Psnr(52.8, 39.5, 63.2), Psnr(52.5, 40.9, 60.8), Psnr(52.1, 41.4, 57.6)),
-        *((37.0, 40.9, 40.9), (10.8, 20.7, 30.9)),
+        title="LIFT BOX",
+        n=1600,
+        steps=700,
+        d2=Counts(108.3, 266),
+        d4=Counts(750.1, 1575),
+        noisy=Psnr(46.5, 39.1, 48.7),
+        third_table=(
+            Psnr(52.8, 39.5, 63.2),
+            Psnr(52.5, 40.9, 60.8),
+            Psnr(52.1, 41.4, 57.6),
+        ),
+        lows_db=(37.0, 40.9, 40.9),
+        times_ms=(10.8, 20.7, 30.9),
     ),
     "lift_wrench_40": Scenario(
-        *("LIFT WRENCH", 1600, 3000, Counts(92.2, 388), Counts(282.2, 1575)),
-        Psnr(47.2, 38.4, 48.8),
-        (Psnr(52.1, 26.5, 62.3), Psnr(52.7, 31.1, 60.4), Psnr(52.6, 36.9, 58.0)),
-        *((26.7, 30.7, 31.1), (10.6, 20.6, 30.1)),
+        title="LIFT WRENCH",
+        n=1600,
+        steps=3000,
+        d2=Counts(92.2, 388),
+        d4=Counts(282.2, 1575),
+        noisy=Psnr(47.2, 38.4, 48.8),
+        third_table=(
+            Psnr(52.1, 26.5, 62.3),
+            Psnr(52.7, 31.1, 60.4),
+            Psnr(52.6, 36.9, 58.0),
+        ),
+        lows_db=(26.7, 30.7, 31.1),
+        times_ms=(10.6, 20.6, 30.1),
     ),
     "drag_wrench_40": Scenario(
-        *("DRAG WRENCH", 1600, 5000, Counts(84.9, 449), Counts(254.3, 1575)),
-        Psnr(46.4, 37.4, 48.7),
-        (Psnr(44.7, 25.3, 61.9), Psnr(47.7, 28.5, 59.8), Psnr(48.9, 34.5, 58.0)),
-        *((26.3, 28.4, 28.5), (10.7, 20.7, 28.1)),
+        title="DRAG WRENCH",
+        n=1600,
+        steps=5000,
+        d2=Counts(84.9, 449),
+        d4=Counts(254.3, 1575),
+        noisy=Psnr(46.4, 37.4, 48.7),
+        third_table=(
+            Psnr(44.7, 25.3, 61.9),
+            Psnr(47.7, 28.5, 59.8),
+            Psnr(48.9, 34.5, 58.0),
+        ),
+        lows_db=(26.3, 28.4, 28.5),
+        times_ms=(10.7, 20.7, 28.1),
     ),
     "path_40": Scenario(
-        "PATH",
-        *(1600, 12200, Counts(30.3, 266), Counts(139.8, 1575)),
-        Psnr(48.0, 44.8, 49.1),
-        (Psnr(56.3, 45.4, 63.1), Psnr(55.9, 49.2, 60.7), Psnr(55.0, 50.3, 58.4)),
-        *((49.2, 49.1, 49.2), (10.3, 18.1, 28.8)),
+        title="PATH",
+        n=1600,
+        steps=12200,
+        d2=Counts(30.3, 266),
+        d4=Counts(139.8, 1575),
+        noisy=Psnr(48.0, 44.8, 49.1),
+        third_table=(
+            Psnr(56.3, 45.4, 63.1),
+            Psnr(55.9, 49.2, 60.7),
+            Psnr(55.0, 50.3, 58.4),
+        ),
+        lows_db=(49.2, 49.1, 49.2),
+        times_ms=(10.3, 18.1, 28.8),
     ),
     "lift_box_64": Scenario(
-        "LIFT BOX",
-        *(4096, 7600, Counts(189.8, 263), Counts(929.1, 961)),
-        Psnr(46.8, 36.6, 48.5),
-        (Psnr(49.8, 38.6, 54.9), Psnr(49.9, 39.0, 54.1), Psnr(50.2, 38.3, 53.6)),
-        *((32.1, 38.9, 39.0), (8.1, 21.6, 25.1)),
+        title="LIFT BOX",
+        n=4096,
+        steps=7600,
+        d2=Counts(189.8, 263),
+        d4=Counts(929.1, 961),
+        noisy=Psnr(46.8, 36.6, 48.5),
+        third_table=(
+            Psnr(49.8, 38.6, 54.9),
+            Psnr(49.9, 39.0, 54.1),
+            Psnr(50.2, 38.3, 53.6),
+        ),
+        lows_db=(32.1, 38.9, 39.0),
+        times_ms=(8.1, 21.6, 25.1),
     ),
     "drag_wrench_64": Scenario(
-        *("DRAG WRENCH", 4096, 12600, Counts(240.3, 670), Counts(602.7, 1208)),
-        Psnr(46.4, 36.2, 48.3),
-        (Psnr(45.4, 23.3, 54.8), Psnr(46.4, 29.8, 53.9), Psnr(48.3, 37.0, 53.2)),
-        *((23.1, 29.3, 29.8), (8.0, 17.0, 31.7)),
+        title="DRAG WRENCH",
+        n=4096,
+        steps=12600,
+        d2=Counts(240.3, 670),
+        d4=Counts(602.7, 1208),
+        noisy=Psnr(46.4, 36.2, 48.3),
+        third_table=(
+            Psnr(45.4, 23.3, 54.8),
+            Psnr(46.4, 29.8, 53.9),
+            Psnr(48.3, 37.0, 53.2),
+        ),
+        lows_db=(23.1, 29.3, 29.8),
+        times_ms=(8.0, 17.0, 31.7),
     ),
 }
 
@@ -150,9 +202,10 @@ class Results:
 
     def chosen_frames(self, scene: str) -> dict[str, int]:
         """Numbers of the contact frames of median and of least PSNR, from N/3 by 20 iterations."""
-        psnr = self.ours(scene, 3, "20")
+        psnr_db = self.ours(scene, 3, "20")
         contact = np.flatnonzero(self.contact(scene))
-        by_psnr = contact[np.argsort(psnr[contact])] + self.scenes[scene]["first"]
+        order = np.argsort(psnr_db[contact])
+        by_psnr = contact[order] + self.scenes[scene]["first"]
         return {
             "representative": int(by_psnr[len(by_psnr) // 2]),
             "worst": int(by_psnr[0]),
@@ -173,10 +226,10 @@ class Results:
     @property
     def speedups(self) -> tuple[float, float]:
         """Least and largest quotient of the paper's time of a frame and ours."""
-        quotients = [
-            PAPER[scene].time_ms[int(method)] / ms
-            for (scene, method), ms in self.times_ms.items()
-        ]
+        quotients = []
+        for (scene, method), ms in self.times_ms.items():
+            paper_ms = PAPER[scene].time_ms[int(method)]
+            quotients.append(paper_ms / ms)
         return min(quotients), max(quotients)
 
 
@@ -191,9 +244,12 @@ def deviations_db(highest: Highest) -> list[float]:
     """Root mean square deviation, for each lambda, of an untouched skin's PSNR with few levels from
     the upper ends of table III over both sizes and three M, dB.
     """
-    off_db = [
-        np.array(highest[side, True, ratio]) - np.mean(upper_ends(side, ratio))
-        for side in (40, 64)
-        for ratio in RATIOS
-    ]
-    return [float(rms_db) for rms_db in np.sqrt(np.mean(np.square(off_db), axis=0))]
+    deviations = []
+    for side, ratio in product((40, 64), RATIOS):
+        of_paper = np.mean(upper_ends(side, ratio))
+        ours = np.array(highest[side, True, ratio])
+        deviations.append(ours - of_paper)
+    # Over both sizes and three M, for each lambda.
+    mean_square = np.mean(np.square(deviations), axis=0)
+    rms_db: list[float] = np.sqrt(mean_square).tolist()
+    return rms_db

@@ -70,7 +70,8 @@ class FewLevelsHaarBasis(SeparableBasis):
     def __init__(self, n_rows: int, n_cols: int) -> None:
         # The lowest bit that is set in either: how often 2 divides both.
         sides = n_rows | n_cols
-        levels = (sides & -sides).bit_length() - 1
+        lowest_bit = sides & -sides
+        levels = lowest_bit.bit_length() - 1
         super().__init__(n_rows, n_cols, level_matrix, levels)
 
 
@@ -86,19 +87,21 @@ def run(out: Path, quick: bool, seed: int, executor: str) -> list[str]:
         unrefused(experiment.run(out, executor)) for experiment in psnr(windows, seed)
     )
     timed = unrefused(times(quick, seed).run(out, executor))
-    keys = zip(rows["scene"], rows["ratio"], rows["method"], strict=True)
+    of_frames = {}
+    columns = ("scene", "ratio", "method", "psnr_db")
+    for scene, ratio, method, of_each_db in rows[[*columns]].itertuples(index=False):
+        of_frames[scene, ratio, method] = np.array(of_each_db)
     results = Results(
         quick=quick,
         scenes=dict(zip(PAPER, figures, strict=True)),
-        psnr={key: np.array(db) for key, db in zip(keys, rows["psnr_db"], strict=True)},
+        psnr=of_frames,
         times_ms=timed.set_index(["scene", "method"])["mean_ms"].to_dict(),
     )
     lambdas, highest = untouched(out, quick, seed, executor)
     frame_of_title = results.chosen_frames(MAPPED)
     frames = sorted(frame_of_title.values())
-    (maps_of_frames,) = compute(
-        frame_maps, [{"frames": frames, "seed": seed}], out, executor, "maps"
-    )
+    asked = [{"frames": frames, "seed": seed}]
+    (maps_of_frames,) = compute(frame_maps, asked, out, executor, "maps")
     maps = {}
     for title, frame in frame_of_title.items():
         k = frames.index(frame)
@@ -118,7 +121,12 @@ def window(scene: str, quick: bool) -> SceneFrames:
 def candidate(basis: str = "haar", **settings: Any) -> Candidate:
     """The paper's method, with some other settings."""
     return Candidate(
-        {**PRESETS["paper"], "basis": basis, **settings}, changes={"rows": PAPER_ROWS}
+        {
+            **PRESETS["paper"],
+            "basis": basis,
+            **settings,
+        },
+        changes={"rows": PAPER_ROWS},
     )
 
 
@@ -195,8 +203,10 @@ def _coefficients(image: Any, wavelet: str, levels: int) -> Any:
     """Sizes of an image's wavelet coefficients, as many as there are taxels."""
     wide = image.astype(np.float64)
     levels = min(levels, pywt.dwt_max_level(len(wide), wavelet))
+    # Periodic: no coefficient more than there are taxels.
     coefficients = pywt.wavedec2(wide, wavelet, mode="periodization", level=levels)
-    return np.abs(pywt.coeffs_to_array(coefficients)[0])
+    in_one_array, _ = pywt.coeffs_to_array(coefficients)
+    return np.abs(in_one_array)
 
 
 def frame_maps(point: Row) -> Row:
@@ -204,21 +214,24 @@ def frame_maps(point: Row) -> Row:
     truth, taxels and reconstructed forces, newtons, and the psnr_db of the latter two.
     """
     numbers: list[int] = point["frames"]
-    every = SceneFrames(MAPPED, None)
+    whole_scene = SceneFrames(MAPPED, None)
     contact, _ = next(SceneFrames(MAPPED, 0).windows(point["seed"]))
     begin = max(0, numbers[0] - BEFORE_MAPS)
     # `SceneFrames` counts from the first contact, the numbers from the begin of the scene.
     window = SceneFrames(MAPPED, begin - contact, numbers[-1] + 1 - contact)
     take = window.open(point["seed"])
-    method = candidate(iterations=20).make(Measurement(3), every.open(0), point["seed"])
+    of_20 = candidate(iterations=20)
+    method = of_20.make(Measurement(3), whole_scene.open(0), point["seed"])
     maps = []
     psnr = []
     for k, (truth, taxels) in enumerate(chain(*take.parts()), begin):
         forces = method.reconstruct(taxels).forces
-        if k in numbers:
-            maps.append([image.round(4).tolist() for image in (truth, taxels, forces)])
-            off = [psnr_db(image - truth, take.f_max) for image in (taxels, forces)]
-            psnr.append([round(db, 2) for db in off])
+        if k not in numbers:
+            continue
+        images = (truth, taxels, forces)
+        maps.append([image.round(4).tolist() for image in images])
+        off_db = [psnr_db(image - truth, take.f_max) for image in (taxels, forces)]
+        psnr.append([round(db, 2) for db in off_db])
     return {"maps": maps, "psnr_db": psnr}
 
 
@@ -249,7 +262,9 @@ def write(
         ),
         (
             "Table III once more: lambda = 0.009 N and few levels",
-            *("table_3_fitted", table_3(results, FITTED), ()),
+            "table_3_fitted",
+            table_3(results, FITTED),
+            (),
         ),
         ("Untouched skin", "untouched", lambda_rows(lambdas, highest), ()),
     ):
@@ -270,11 +285,11 @@ def conclusion(results: Results) -> list[str]:
         ("30", "as the text states it"),
         (FITTED, "with few levels and fitted lambda"),
     ):
-        off = [
-            float(results.ours(scene, ratio, method).mean()) - psnr.mean
-            for scene, paper in PAPER.items()
-            for ratio, psnr in paper.by_ratio.items()
-        ]
+        off = []
+        for scene, paper in PAPER.items():
+            for ratio, psnr in paper.by_ratio.items():
+                ours_db = float(results.ours(scene, ratio, method).mean())
+                off.append(ours_db - psnr.mean)
         lines.append(
             f"Mean PSNR of table III, {text}: {np.mean(off):+.1f} dB from the paper in the mean, "
             f"{min(off):+.1f} to {max(off):+.1f} dB, over {len(off)} figures."

@@ -31,7 +31,12 @@ def points(quick: bool, seed: int) -> list[dict[str, Any]]:
     """All rates, sizes, and with and without a monitor; quick: few of them, in short slices."""
     rates_hz = QUICK_RATES_HZ if quick else RATES_HZ
     sizes = (QUICK_SIZE,) if quick else tuple(latency.SCENES)
-    common = {"preset": "skin", "depth": 0, "iterations": STEPS, "seed": seed}
+    common = {
+        "preset": "skin",
+        "depth": 0,
+        "iterations": STEPS,
+        "seed": seed,
+    }
     common |= {"slices": SLICES, "seconds": SECONDS}
     return [
         {
@@ -64,8 +69,11 @@ def measure(point: dict[str, Any]) -> dict[str, Any]:
 
 def medians(slices: list[dict[str, float]]) -> dict[str, float]:
     """Median of each figure over the slices."""
-    values = {name: [figures[name] for figures in slices] for name in slices[0]}
-    return {name: round(float(np.median(each)), 4) for name, each in values.items()}
+    figures = {}
+    for name in slices[0]:
+        values = [of_slice[name] for of_slice in slices]
+        figures[name] = round(float(np.median(values)), 4)
+    return figures
 
 
 def together(ours: dict[str, float], lean: dict[str, float]) -> dict[str, float]:
@@ -82,35 +90,40 @@ def together(ours: dict[str, float], lean: dict[str, float]) -> dict[str, float]
 
 def of_graph(reports: dict[str, dict[str, Any]], n_frames: int) -> dict[str, float]:
     """Figures of a slice of the shipped nodes, by their reports."""
-    figures = {
-        f"{node}_us": per_frame_us(np.array(report[PROCESSOR], dtype=np.int64))
-        for node, report in reports.items()
-    }
-    # Of the last notes: the solver was done.
+    figures = {}
+    for node, report in reports.items():
+        processor_ns = np.array(report[PROCESSOR], dtype=np.int64)
+        figures[f"{node}_us"] = per_frame_us(processor_ns)
+    # A note holds stamp, came, called and solved, in this order.
     host = np.array(reports["reconstructor"][WATCH], dtype=np.int64)
-    lost = n_frames - len(host)
-    return {**figures, **ages_ms(host[:, 3]), "lost": lost}
+    figures |= ages_ms(host[:, 3])
+    figures["lost"] = n_frames - len(host)
+    return figures
 
 
 def of_lean(notes: dict[str, npt.NDArray[np.int64]]) -> dict[str, float]:
     """Figures of a slice of the lean nodes, by their notes."""
-    figures = {
-        f"{name}_us": per_frame_us(each[:, 2])
-        for name, each in zip(NODES, notes.values(), strict=True)
-    }
+    figures = {}
+    for name, of_node in zip(NODES, notes.values(), strict=True):
+        figures[f"{name}_us"] = per_frame_us(of_node[:, 2])
     sensor, *_, host = notes.values()
-    return {**figures, **ages_ms(host[:, 1]), "lost": len(sensor) - len(host)}
+    figures |= ages_ms(host[:, 1])
+    figures["lost"] = len(sensor) - len(host)
+    return figures
 
 
 def per_frame_us(processor_ns: npt.NDArray[np.int64]) -> float:
     """Mean processor time of a frame, us, of that which a process had used after each frame."""
-    counted = processor_ns[round(WARM_UP * len(processor_ns)) :]
-    return float(counted[-1] - counted[0]) / 1e3 / max(len(counted) - 1, 1)
+    n_left_out = round(WARM_UP * len(processor_ns))
+    counted = processor_ns[n_left_out:]
+    used_us = float(counted[-1] - counted[0]) / 1e3
+    return used_us / max(len(counted) - 1, 1)
 
 
 def ages_ms(ages_ns: npt.NDArray[np.int64]) -> dict[str, float]:
     """Quantiles of the age of frames, ms, by the age of each in ns."""
-    counted = ages_ns[round(WARM_UP * len(ages_ns)) :] / 1e6
+    n_left_out = round(WARM_UP * len(ages_ns))
+    counted = ages_ns[n_left_out:] / 1e6
     return {
         "p50_ms": float(np.quantile(counted, 0.5)),
         "p99_ms": float(np.quantile(counted, 0.99)),

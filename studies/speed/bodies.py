@@ -29,28 +29,29 @@ def time_body(point: dict[str, Any]) -> dict[str, Any]:
     measurements of a frame; memory_mb of the reconstructor for one patch; unchanged: part of the
     frames not solved.
     """
-    patches, side, n_frames = (point[key] for key in ("patches", "side", "n_frames"))
+    patches = point["patches"]
+    n_frames = point["n_frames"]
     common = {"patch": "body", "patches": [f"p{k}" for k in range(patches)]}
-    source = {
-        "source": "scene:lying",
-        "active": 1.0 - point["idle"],
-        "seed": point["seed"],
-    }
-    shape = {"simulated": {"n_rows": side, "n_cols": side}, "rate_hz": 100.0}
-    sensor = made_node("sensor", {**common, **source, **shape})
+    sensor = made_node("sensor", common | _source(point))
     edge = made_node("compressor", common)
     list(sensor.start())
     # The next frame is of the time when all have landed, then come frames each 1 ms.
     list(sensor.acquire(Tick(0, 0)))
     (skin,) = sensor.change(sensor.settings.changed({"rate_hz": 1000.0}))
     (phi,) = edge.step(skin)
+
+    # Memory is that of the reconstructor alone: what is garbage is not counted.
     gc.collect()
-    before = own_bytes(os.getpid())
+    bytes_before = own_bytes(os.getpid())
     host = made_node("reconstructor", {**common, "skip_idle": point["idle"] > 0})
     list(host.step(skin))
     list(host.step(phi))
-    edge_s, host_s, solve_s = list[float](), list[float](), list[float]()
-    n_unchanged = n_bytes = 0
+
+    edge_s: list[float] = []
+    host_s: list[float] = []
+    solve_s: list[float] = []
+    n_unchanged = 0
+    n_bytes = 0
     for k in range(WARM_UP + n_frames):
         (taxels, _) = sensor.acquire(Tick(1_000_000 * (k + 1), k + 1))
         (measured,) = timed_step(edge, wire_bytes(taxels), edge_s)
@@ -60,27 +61,42 @@ def time_body(point: dict[str, Any]) -> dict[str, Any]:
             forces: Any = decode(*received(solved))
             n_unchanged += sum(forces.unchanged)
             solve_s.append(1e-9 * sum(forces.solve_ns))
+
+    added_bytes = own_bytes(os.getpid()) - bytes_before
     return {
         "edge_us": 1e6 * float(np.median(edge_s[WARM_UP:])) / patches,
         "host_us": 1e6 * float(np.median(host_s[WARM_UP:])) / patches,
         "solve_us": 1e6 * float(np.median(solve_s)) / patches,
         "iterations": max(forces.iterations),
         "bytes": float(n_bytes),
-        "memory_mb": (own_bytes(os.getpid()) - before) / patches / 1e6,
+        "memory_mb": added_bytes / patches / 1e6,
         "unchanged": n_unchanged / patches / n_frames,
+    }
+
+
+def _source(point: dict[str, Any]) -> dict[str, Any]:
+    """Settings of a sensor with a body that lies on its skin."""
+    side = point["side"]
+    return {
+        "source": "scene:lying",
+        "active": 1.0 - point["idle"],
+        "seed": point["seed"],
+        "simulated": {"n_rows": side, "n_cols": side},
+        "rate_hz": 100.0,
     }
 
 
 def made_node(type_name: str, values: dict[str, Any]) -> Any:
     """Make a node of a type with settings, without sockets."""
     cls = node_class(type_name)
-    return cls(cls.Settings.from_mapping(values), Context(type_name, ManualClock(1)))
+    settings = cls.Settings.from_mapping(values)
+    return cls(settings, Context(type_name, ManualClock(1)))
 
 
 def timed_step(node: Any, buffer: bytes, spent: list[float]) -> list[bytes]:
     """Let a node process a message in its wire form; note the processor time."""
     begin_s = time.process_time()
     message: Message = decode(*received(buffer))
-    sent = [wire_bytes(each) for each in node.step(message)]
+    sent = [wire_bytes(answer) for answer in node.step(message)]
     spent.append(time.process_time() - begin_s)
     return sent

@@ -28,12 +28,22 @@ Times = npt.NDArray[np.int64]
 RATE_HZ = 1000
 SCENES = {"40 x 40": "path_40", "64 x 64": "drag_wrench_64"}
 STAGES = (
-    *("sensor", "wire to the edge", "queue at the edge", "edge"),
-    *("wire to the host", "queue at the host", "host", "solve"),
+    "sensor",
+    "wire to the edge",
+    "queue at the edge",
+    "edge",
+    "wire to the host",
+    "queue at the host",
+    "host",
+    "solve",
 )
 WARM_UP = 500
 """First frames of the sensor, left out: new processes start with cold caches and memory."""
-QUANTILES = {"p50": 0.5, "p99": 0.99, "p99.9": 0.999}
+QUANTILES = {
+    "p50": 0.5,
+    "p99": 0.99,
+    "p99.9": 0.999,
+}
 GRAPHS = (
     ("skin", 0, False),
     ("skin", 0, True),
@@ -81,8 +91,9 @@ def measure(point: dict[str, Any]) -> dict[str, Any]:
     nodes = run_graph(point)
     # The nodes are children of this process: what they used is not other work.
     others_s = host_busy_s() - busy_s - (_children_s() - own_s)
-    timed = (nodes[name][WATCH] for name in ("sensor", "compressor", "reconstructor"))
-    sensor, edge, host = (np.array(times, dtype=np.int64) for times in timed)
+    sensor = _times_of(nodes["sensor"])
+    edge = _times_of(nodes["compressor"])
+    host = _times_of(nodes["reconstructor"])
     stages = stages_ns(sensor[point["warm_up"] :], edge, host)
     if not len(stages):
         raise StudyError(
@@ -96,6 +107,11 @@ def measure(point: dict[str, Any]) -> dict[str, Any]:
         "lost": len(sensor) - len(host) - skipped,
         "others": round(others_s / (time.monotonic() - began_s), 2),
     }
+
+
+def _times_of(report: dict[str, Any]) -> Times:
+    """Notes of the stopwatch of a node."""
+    return np.array(report[WATCH], dtype=np.int64)
 
 
 def run_graph(
@@ -169,12 +185,23 @@ def stages_ns(sensor: Times, edge: Times, host: Times) -> Times:
     called, was done, the result was sent. Returns rows of the frames that were reconstructed.
     """
     # A stamp identifies a frame; one that was skipped or lost on the way has no age.
-    stamps = np.intersect1d(np.intersect1d(sensor[:, 0], edge[:, 0]), host[:, 0])
+    at_edge = np.intersect1d(sensor[:, 0], edge[:, 0])
+    stamps = np.intersect1d(at_edge, host[:, 0])
     _, sensor_sent = _of_frames(sensor, stamps)
     _, edge_came, edge_sent = _of_frames(edge, stamps)
     _, host_came, called, solved, host_sent = _of_frames(host, stamps)
-    edge_queue = _waited(stamps, sent=sensor_sent, came=edge_came, free=edge_sent)
-    host_queue = _waited(stamps, sent=edge_sent, came=host_came, free=host_sent)
+    edge_queue = _waited(
+        stamps,
+        sent=sensor_sent,
+        came=edge_came,
+        free=edge_sent,
+    )
+    host_queue = _waited(
+        stamps,
+        sent=edge_sent,
+        came=host_came,
+        free=host_sent,
+    )
     columns = [
         sensor_sent,
         edge_came - sensor_sent - edge_queue,
@@ -195,6 +222,7 @@ def _of_frames(times: Times, stamps: Times) -> Times:
 
 def _waited(stamps: Times, sent: Times, came: Times, free: Times) -> Times:
     """Time from sending each message until its reader was done with the one before, ns."""
+    # Before the first frame a reader is free.
     gap = np.diff(stamps, prepend=stamps[:1])
     # Times are from each frame's stamp on: those of the one before are moved to this stamp.
     free_before = np.concatenate([[0], free[:-1]]) - gap

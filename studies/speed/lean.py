@@ -60,22 +60,27 @@ def run_lean(point: dict[str, Any]) -> dict[str, Any]:
     with tempfile.TemporaryDirectory(prefix="sparseskin-lean-") as folder:
         text = json.dumps({**point, "folder": folder})
         command = [sys.executable, "-m", __name__, text]
-        started = {
-            node: subprocess.Popen([*command, node], stdout=subprocess.PIPE, text=True)
-            for node in NODES
-        }
+        started: dict[str, subprocess.Popen[str]] = {}
+        texts = {}
         try:
-            texts = {
-                node: process.communicate()[0] for node, process in started.items()
-            }
+            for node in NODES:
+                started[node] = subprocess.Popen(
+                    [*command, node], stdout=subprocess.PIPE, text=True
+                )
+            for node, process in started.items():
+                texts[node], _ = process.communicate()
         finally:
+            # If one has failed, the others wait for it for ever.
             for process in started.values():
                 process.kill()
-    if failed := [node for node, process in started.items() if process.returncode]:
-        raise StudyError(f"lean nodes: {failed[0]} failed")
-    return {
-        node: np.array(json.loads(text), dtype=np.int64) for node, text in texts.items()
-    }
+    for node, process in started.items():
+        if process.returncode:
+            raise StudyError(f"lean nodes: {node} failed")
+
+    notes = {}
+    for node, text in texts.items():
+        notes[node] = np.array(json.loads(text), dtype=np.int64)
+    return notes
 
 
 def main() -> None:
@@ -97,6 +102,7 @@ def _links(
     context: zmq.Context[Any], folder: str, node: str
 ) -> list[zmq.Socket[bytes]]:
     """Sockets of a node: the one that it reads, and the one that it writes."""
+    # Each node binds what it writes: the next one may come later.
     k = NODES.index(node)
     links = []
     if k > 0:
@@ -107,6 +113,7 @@ def _links(
         writer = context.socket(zmq.PUSH)
         writer.bind(f"ipc://{Path(folder, node)}")
         links.append(writer)
+    # From the host back to the sensor: that it is ready.
     if k == 0:
         begin = context.socket(zmq.PULL)
         begin.bind(f"ipc://{Path(folder, 'begin')}")
@@ -133,7 +140,9 @@ def _sensor(
     frames: Iterator[tuple[int, Floats]] = iter(source)
     for number in range(point["n_frames"]):
         _, taxels = next(frames)
-        left_ns = begin_ns + (number + 1) * period_ns - time.monotonic_ns()
+        # From the begin on, so that delays do not add up.
+        due_ns = begin_ns + (number + 1) * period_ns
+        left_ns = due_ns - time.monotonic_ns()
         if left_ns > 0:
             time.sleep(left_ns / 1e9)
         stamp_ns = time.monotonic_ns()
@@ -149,8 +158,9 @@ def _edge(
     notes: Notes,
 ) -> None:
     phi = _phi(_source(point))
+    # The word to begin, and an empty buffer at the end, go on as they are.
     writer.send(reader.recv())
-    while buffer := reader.recv():
+    for buffer in iter(reader.recv, b""):
         number, stamp_ns, taxels = unpacked(buffer)
         writer.send(packed(number, stamp_ns, phi.forward(taxels)))
         _note(notes, stamp_ns)
@@ -172,13 +182,17 @@ def _host(
     solver.solve(np.zeros(phi.m, dtype=np.float32))
     solver.reset()
     begin.send(reader.recv())
-    while buffer := reader.recv():
+    for buffer in iter(reader.recv, b""):
         _, stamp_ns, measurements = unpacked(buffer)
         solver.solve(measurements)
         _note(notes, stamp_ns)
 
 
-_RUN: dict[str, Callable[..., None]] = {"sensor": _sensor, "edge": _edge, "host": _host}
+_RUN: dict[str, Callable[..., None]] = {
+    "sensor": _sensor,
+    "edge": _edge,
+    "host": _host,
+}
 
 
 def _note(notes: Notes, stamp_ns: int) -> None:

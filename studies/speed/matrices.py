@@ -52,7 +52,12 @@ def points(quick: bool, seed: int) -> list[dict[str, Any]]:
     """All kinds on skins of some sides."""
     sides = QUICK_SIDES if quick else SIDES
     return [
-        {"kind": kind, "ratio": ratio, "side": side, "seed": seed}
+        {
+            "kind": kind,
+            "ratio": ratio,
+            "side": side,
+            "seed": seed,
+        }
         for side in sides
         for kind, ratio in KINDS
         if kind != "gaussian" or side**2 <= N_MAX
@@ -121,7 +126,11 @@ def _set_up(kind: str, ratio: float, state: SkinState) -> Pair:
 
 def _reconstruct(pair: Pair, forces: Floats, k: int) -> Floats:
     """Compress and reconstruct frame k; return the forces."""
-    taxels = Taxels(stamp_ns=(k + 1) * PERIOD_NS, patch="skin", forces=forces)
+    taxels = Taxels(
+        stamp_ns=(k + 1) * PERIOD_NS,
+        patch="skin",
+        forces=forces,
+    )
     (measured,) = timed_step(pair.edge, wire_bytes(taxels), pair.edge_s)
     solved, *_ = timed_step(pair.host, measured, pair.host_s)
     message: Any = decode(*received(solved))

@@ -46,7 +46,12 @@ class Used(NamedTuple):
 
 def points(quick: bool, seed: int) -> list[dict[str, Any]]:
     """One recording of a scene, in as many iterations as `ITERATIONS` has."""
-    common = {"scene": SCENE, "first": FIRST, "slices": SLICES, "seed": seed}
+    common = {
+        "scene": SCENE,
+        "first": FIRST,
+        "slices": SLICES,
+        "seed": seed,
+    }
     common["n_frames"] = QUICK_N_FRAMES if quick else N_FRAMES
     return [{**common, "iterations": iterations} for iterations in ITERATIONS]
 
@@ -68,6 +73,7 @@ def measure(point: dict[str, Any]) -> dict[str, Any]:
             alone = _of_solver(source, point["iterations"])
             out = Path(folder, f"out{k}.mcap")
             whole = _of_reprocess(source, out, point["iterations"])
+            # The next slice writes as much: disks may be small.
             out.unlink()
             slices.append(compared(alone, whole, point["n_frames"]))
     return medians(slices)
@@ -99,9 +105,8 @@ def record_scene(path: Path, point: dict[str, Any]) -> None:
 
 
 def _of_reprocess(source: Path, out: Path, iterations: int) -> Used:
-    job = Job(
-        str(source), str(out), (f"reconstructor.iterations={iterations}",), "auto"
-    )
+    changes = (f"reconstructor.iterations={iterations}",)
+    job = Job(str(source), str(out), changes, "auto")
 
     def work() -> None:
         outcome = run_job(job)
@@ -115,6 +120,7 @@ def _of_solver(source: Path, iterations: int) -> Used:
     settings = ReconstructorSettings(iterations=iterations)
     states: dict[str, Any] = {}
     received: list[Measurements] = []
+    # All messages are decoded before: their time is not that of the solver.
     with BagReader(source) as bag:
         for recorded in bag.messages():
             if recorded.schema == Measurements.schema:

@@ -25,7 +25,11 @@ PROCESSES: dict[str, dict[str, str]] = {
     "one": dict.fromkeys(NODES, SHARED),
 }
 """Name of the process of each node that shares one, by the kind of graph."""
-RATIOS = {"cpu": "cpu_us", "p50": "p50_ms", "p99": "p99_ms"}
+RATIOS = {
+    "cpu": "cpu_us",
+    "p50": "p50_ms",
+    "p99": "p99_ms",
+}
 """Figure of each ratio."""
 SCENE = "drag_wrench_40"
 RATES_HZ = (1000, 300, 100)
@@ -50,8 +54,13 @@ def points(quick: bool, seed: int) -> list[dict[str, Any]]:
         "iterations": STEPS,
         "monitor": True,
     }
-    common |= {"seed": seed, "slices": SLICES, "seconds": SECONDS}
+    common |= {
+        "seed": seed,
+        "slices": SLICES,
+        "seconds": SECONDS,
+    }
     rates_hz = QUICK_RATES_HZ if quick else RATES_HZ
+    # Stated in the point: figures with and without it are not mixed.
     try:
         Scheduling(priority=PRIORITY).check_permitted()
     except SettingsError:
@@ -76,7 +85,11 @@ def measure(point: dict[str, Any]) -> dict[str, Any]:
     for _ in range(point["slices"]):
         figures = {}
         for kind, of_nodes in PROCESSES.items():
-            graph = {**point, "n_frames": n_frames, "processes": of_nodes}
+            graph = {
+                **point,
+                "n_frames": n_frames,
+                "processes": of_nodes,
+            }
             figures[kind] = _figures(latency.run_graph(graph), of_nodes)
         slices.append(with_ratios(figures))
     return medians(slices)
@@ -100,12 +113,15 @@ def _figures(
     used_ns = 0
     for node in node_of.values():
         notes = reports[node][PROCESSOR]
-        used_ns += notes[-1] - notes[round(WARM_UP * len(notes))]
+        n_left_out = round(WARM_UP * len(notes))
+        used_ns += notes[-1] - notes[n_left_out]
     sensor = np.array(reports["sensor"][WATCH], dtype=np.int64)
     host = np.array(reports["reconstructor"][WATCH], dtype=np.int64)
+    # By the stamps of the first frame and the last one.
     passed_s = (sensor[-1, 0] - sensor[0, 0]) / 1e9
+    n_counted = (1 - WARM_UP) * len(sensor)
     return {
-        "cpu_us": used_ns / 1e3 / ((1 - WARM_UP) * len(sensor)),
+        "cpu_us": used_ns / 1e3 / n_counted,
         **ages_ms(host[:, 3]),
         "hz": (len(sensor) - 1) / passed_s,
         "skipped": 1 - len(host) / len(sensor),

@@ -50,32 +50,38 @@ def time_quiet(point: dict[str, Any]) -> dict[str, Any]:
         seed=point["seed"],
         rate_hz=1e9 / PERIOD_NS,
     )
-    way = (
-        _Delta(state, names)
-        if point["way"] == "delta"
-        else _Nodes(state, names, point["way"])
-    )
+    way = _sender(state, names, point["way"])
 
-    squares = list[float]()
+    squares: list[float] = []
     n_bytes = 0
     for k in range(WARM_UP + point["n_frames"]):
         truth = _truth(len(names), side, k)
         forces = noise.apply(truth, rng)
         stamp_ns = (k + 1) * PERIOD_NS
         message = Taxels(
-            stamp_ns=stamp_ns, patch="body", names=tuple(names), forces=forces
+            stamp_ns=stamp_ns,
+            patch="body",
+            names=tuple(names),
+            forces=forces,
         )
         sent = way.frame(message)
         if k >= WARM_UP:
             n_bytes += sent
             touched = truth[0] > 0
-            squares.append(float(np.mean((way.forces[0] - truth[0])[touched] ** 2)))
+            errors = way.forces[0][touched] - truth[0][touched]
+            squares.append(float(np.mean(errors**2)))
     return {
         "bytes": n_bytes / point["n_frames"],
         "edge_us": 1e6 * sum(way.edge_s[WARM_UP:]) / point["n_frames"],
         "host_us": 1e6 * (sum(way.host_s) - way.before_s) / point["n_frames"],
         "error": float(np.sqrt(np.mean(squares))),
     }
+
+
+def _sender(state: SkinState, names: list[str], way: str) -> _Delta | _Nodes:
+    if way == "delta":
+        return _Delta(state, names)
+    return _Nodes(state, names, way)
 
 
 def _truth(n_patches: int, side: int, k: int) -> Floats:
@@ -124,7 +130,9 @@ class _Delta:
     def __init__(self, state: SkinState, names: list[str]) -> None:
         self._noise = NoiseModel(state.f_max, state.sigma_mid, state.sigma_end)
         n_taxels = state.n_rows * state.n_cols
-        self._z = -NormalDist().inv_cdf(FALSE_SENDS / 2 / n_taxels) * np.sqrt(2)
+        # Two-sided, for one taxel; a change is the difference of two readings.
+        chance = FALSE_SENDS / 2 / n_taxels
+        self._z = -NormalDist().inv_cdf(chance) * np.sqrt(2)
         self.forces = np.zeros(
             (len(names), state.n_rows, state.n_cols), dtype=np.float32
         )

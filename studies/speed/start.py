@@ -28,7 +28,11 @@ def points(quick: bool, seed: int) -> list[dict[str, Any]]:
         "seed": seed,
     }
     common["source"] = f"scene:{SCENE}"
-    common |= {"monitor": True, "rate_hz": RATE_HZ, "n_frames": N_FRAMES}
+    common |= {
+        "monitor": True,
+        "rate_hz": RATE_HZ,
+        "n_frames": N_FRAMES,
+    }
     point = {**common, "starts": 1 if quick else STARTS}
     stored = [True] if quick else [True, False]
     return [{**point, "bytecode": bytecode} for bytecode in stored]

@@ -38,19 +38,23 @@ class _Timed(Node[Any]):
         for message in step(what):
             # It has been sent when the runner asks for the next one.
             yield message
-            if isinstance(message, timed):
-                inside_ns = self._inside(message, came_ns)
-                times_ns = [*inside_ns, self.context.clock.now_ns()]
-                stamp_ns = message.stamp_ns
-                since_ns = [time_ns - stamp_ns for time_ns in times_ns]
-                self._notes.append([stamp_ns, *since_ns])
-                self._processor_ns.append(time.process_time_ns())
+            if not isinstance(message, timed):
+                continue
+            sent_ns = self.context.clock.now_ns()
+            times_ns = [*self._inside(message, came_ns), sent_ns]
+            stamp_ns = message.stamp_ns
+            since_ns = [time_ns - stamp_ns for time_ns in times_ns]
+            self._notes.append([stamp_ns, *since_ns])
+            self._processor_ns.append(time.process_time_ns())
 
     def _inside(self, message: Any, came_ns: int) -> tuple[int, ...]:
         return (came_ns,)
 
     def report(self) -> dict[str, Any]:
-        return {**super().report(), WATCH: self._notes, PROCESSOR: self._processor_ns}
+        report = super().report()
+        report[WATCH] = self._notes
+        report[PROCESSOR] = self._processor_ns
+        return report
 
 
 class TimedSensor(_Timed, Sensor):
@@ -77,7 +81,8 @@ class TimedReconstructor(_Timed, Reconstructor):
         return self._timed(super().step, message, Reconstruction)
 
     def _inside(self, message: Any, came_ns: int) -> tuple[int, ...]:
-        return (came_ns, message.done_ns - message.solve_ns[0], message.done_ns)
+        called_ns = message.done_ns - message.solve_ns[0]
+        return (came_ns, called_ns, message.done_ns)
 
 
 class TimedMonitor(Monitor):

@@ -37,7 +37,11 @@ SIZES = {scene: size for size, scene in latency.SCENES.items()}
 PATCH_SIDE = 64
 PATCHES = (1, 4, 16, 64, 244)
 QUICK_PATCHES = (1, 4)
-LOADS = {0.0: "all pressed", 0.75: "a quarter pressed", 1.0: "at rest"}
+LOADS = {
+    0.0: "all pressed",
+    0.75: "a quarter pressed",
+    1.0: "at rest",
+}
 """Part of the patches that nothing presses, and what a body is then."""
 GOAL = 244
 """Patches of a million taxels."""
@@ -72,16 +76,16 @@ def solvers(page: Page, quick: bool, seed: int) -> list[str]:
     frames = [
         PressFrames("plate", (side, side), n_frames, speed=0.02) for side in sides
     ]
+    # A slow body on both: times are of the steps, not of sudden contacts.
     forms = {"numpy": "off"}
     if find_spec("numba"):
         forms["compiled"] = "on"
-    candidates = {
-        f"{preset}, {form}": Candidate(
-            {**PRESETS[preset], "fast": fast}, changes={"rows": rows}
-        )
-        for preset, rows in (("paper", PAPER_ROWS), ("skin", FIXED))
-        for form, fast in forms.items()
-    }
+    candidates = {}
+    for preset, rows_of_phi in (("paper", PAPER_ROWS), ("skin", FIXED)):
+        for form, fast in forms.items():
+            settings = PRESETS[preset] | {"fast": fast}
+            candidate = Candidate(settings, changes={"rows": rows_of_phi})
+            candidates[f"{preset}, {form}"] = candidate
     scores = ("median_ms", "p99_ms", "iterations", "mean_db")
     timed = Experiment(
         "solvers", frames, [Measurement()], candidates, scores, (seed,), timed=True
@@ -105,8 +109,10 @@ def solvers(page: Page, quick: bool, seed: int) -> list[str]:
         "frames a second": ".0f",
     }
     page.section("Solvers", markdown(table.rename(columns=headings), formats))
-    last = rows[(rows["n"] == rows["n"].max()) & rows["method"].str.startswith("skin")]
-    return cells(last, "Solver {method}, N = {n}: {median_ms:.2f} ms a frame.")
+    # The default on the largest skin.
+    is_largest = rows["n"] == rows["n"].max()
+    of_default = rows[is_largest & rows["method"].str.startswith("skin")]
+    return cells(of_default, "Solver {method}, N = {n}: {median_ms:.2f} ms a frame.")
 
 
 def bodies(page: Page, quick: bool, seed: int) -> str:
@@ -115,8 +121,16 @@ def bodies(page: Page, quick: bool, seed: int) -> str:
     numbers = QUICK_PATCHES if quick else PATCHES
     points = []
     for idle, n in product(LOADS, numbers):
+        # A frame of many patches takes long enough to be measured by itself.
         n_frames = 12 if quick or n >= 64 else 60
-        points.append({**common, "patches": n, "idle": idle, "n_frames": n_frames})
+        points.append(
+            {
+                **common,
+                "patches": n,
+                "idle": idle,
+                "n_frames": n_frames,
+            }
+        )
     rows = _measured(time_body, points, page.out, "bodies", TIMED_ON)
     page.csv("bodies", rows)
     us = rows["edge_us"] + rows["host_us"]
@@ -134,9 +148,18 @@ def bodies(page: Page, quick: bool, seed: int) -> str:
             "unchanged": cells(rows, "{unchanged:.0%}"),
         }
     )
+    line = _cost_of_a_million(rows)
+    page.section("Bodies of many patches", table, line, side=PATCH_SIDE)
+    return line
+
+
+def _cost_of_a_million(rows: pd.DataFrame) -> str:
+    """How time grows with the taxels, and what a million of them take at 1 kHz."""
+    # Time of all patches over their number: a line in logarithms, whose slope is the power.
     solved = rows[rows["idle"] == 0]
-    spent = np.log((solved["edge_us"] + solved["host_us"]) * solved["patches"])
-    slope = float(np.polyfit(np.log(solved["patches"]), spent, 1)[0])
+    us_of_body = (solved["edge_us"] + solved["host_us"]) * solved["patches"]
+    line_of_fit = np.polyfit(np.log(solved["patches"]), np.log(us_of_body), 1)
+    slope = float(line_of_fit[0])
     patch_hz = GOAL * GOAL_HZ
     largest = rows[rows["patches"] == rows["patches"].max()]
     cores = largest.assign(
@@ -144,24 +167,35 @@ def bodies(page: Page, quick: bool, seed: int) -> str:
         edges=1e-6 * patch_hz * largest["edge_us"],
         hosts=1e-6 * patch_hz * largest["host_us"],
     )
-    last = solved.iloc[-1]
-    links = last["bytes"] / last["patches"] * patch_hz / LINK_BYTES_HZ
-    line = (
+    most_patches = solved.iloc[-1]
+    patch_bytes = most_patches["bytes"] / most_patches["patches"]
+    links = patch_bytes * patch_hz / LINK_BYTES_HZ
+    of_loads = ", ".join(cells(cores, "{load} {edges:.0f} + {hosts:.0f}"))
+    return (
         f"Time grows with taxels to the power {slope:.2f}. A million taxels at 1 kHz take, in "
         f"cores of edges + hosts as fast as this one: "
-        f"{', '.join(cells(cores, '{load} {edges:.0f} + {hosts:.0f}'))}; and {links:.0f} gigabit "
+        f"{of_loads}; and {links:.0f} gigabit "
         f"links in place of {RATIO * links:.0f}."
     )
-    page.section("Bodies of many patches", table, line, side=PATCH_SIDE)
-    return line
 
 
 def quiet_body(page: Page, quick: bool, seed: int) -> str:
     """A body of which one patch is touched, by three ways to send it."""
-    size = {"patches": 64, "side": 16, "n_frames": 2000}
+    size = {
+        "patches": 64,
+        "side": 16,
+        "n_frames": 2000,
+    }
     if quick:
         size |= {"patches": 16, "n_frames": 100}
-    points = [{"way": way, **size, "seed": seed} for way in WAYS]
+    points = [
+        {
+            "way": way,
+            **size,
+            "seed": seed,
+        }
+        for way in WAYS
+    ]
     rows = _measured(time_quiet, points, page.out, "quiet", TIMED_ON)
     page.csv("quiet", rows)
     names = ("all frames", "quiet", "single taxels that change")
@@ -198,6 +232,7 @@ def stages(page: Page, quick: bool, seed: int) -> list[str]:
     headings |= {f"p50 {stage}": stage for stage in latency.STAGES}
     formats = {f"{name} ms": ".2f" for name in latency.QUANTILES}
     formats |= dict.fromkeys(latency.STAGES, ".3f")
+    # A reader has to know: the figures are of this host alone.
     busiest = rows["others"].max()
     busy = (
         f"**The host was busy: other work used up to {busiest:.1f} cores meanwhile. Times are too "
@@ -272,7 +307,11 @@ def shared_processes(page: Page, quick: bool, seed: int) -> list[str]:
     rows = _measured(processes.measure, points, page.out, "processes")
     page.csv("processes", rows)
     tables = [_processes_table(rows, kind) for kind in processes.PROCESSES]
-    formats = {"reached, Hz": ".0f", "skipped": ".0%", "processor time, us": ".0f"}
+    formats = {
+        "reached, Hz": ".0f",
+        "skipped": ".0%",
+        "processor time, us": ".0f",
+    }
     formats |= {f"{name} / four": ".2f" for name in processes.RATIOS}
     page.section(
         "Nodes that share a process",

@@ -44,7 +44,13 @@ from .time_chart import draw_times
 #: A process that has its core to itself has it for more of its time than this.
 QUIET_SHARE = 0.95
 MEASURES = {"mean_db": "mean PSNR in dB", "min_db": "worst PSNR in dB"}
-FOCUS = {ROTATED: 2, PRESET_SKIN: 1, FORMULA: 3, "tv": 4, PAPER_LABEL: 0}
+FOCUS = {
+    ROTATED: 2,
+    PRESET_SKIN: 1,
+    FORMULA: 3,
+    "tv": 4,
+    PAPER_LABEL: 0,
+}
 FOCUS |= dict.fromkeys(LARGER, 5)
 """Series in colour in the chart of bytes, and the place of each in the palette."""
 CAPTION = (
@@ -88,20 +94,21 @@ def run(out: Path, quick: bool, seed: int, executor: str) -> list[str]:
 
 def zones(rows: pd.DataFrame) -> pd.DataFrame:
     """Full readings by panel and dead zone: mean_db, min_db, touched_mn, n_bytes."""
-    full_readings = pooled(unrefused(rows), ["method"]).assign(
-        dead_zone_n=lambda f: f["method"].astype(float)
-    )
-    sizes = [
-        n_bytes(int(panel.removeprefix("N = ")), 1.0, "", "")
-        for panel in full_readings["panel"]
-    ]
-    return full_readings.assign(n_bytes=sizes)
+    # A method is named by its dead zone.
+    full_readings = pooled(unrefused(rows), ["method"])
+    dead_zones = full_readings["method"].astype(float)
+    sizes = []
+    for panel in full_readings["panel"]:
+        n = int(panel.removeprefix("N = "))
+        sizes.append(n_bytes(n, 1.0, "", ""))
+    return full_readings.assign(dead_zone_n=dead_zones, n_bytes=sizes)
 
 
 def raw_and_zoned(read: pd.DataFrame, panel: str) -> tuple[pd.Series, pd.Series]:
     """The reading of a panel as it is, and with its best dead zone."""
-    of = read[read["panel"] == panel].set_index("dead_zone_n", drop=False)
-    return of.loc[0.0], of.loc[of["mean_db"].idxmax()]
+    of_panel = read[read["panel"] == panel].set_index("dead_zone_n", drop=False)
+    best = of_panel["mean_db"].idxmax()
+    return of_panel.loc[0.0], of_panel.loc[best]
 
 
 def swept(rows: pd.DataFrame) -> pd.DataFrame:
@@ -123,11 +130,14 @@ def write(
     rows = pooled(every, ["label", "phi", "ratio", "n_bytes"])
     by_panel: dict[Any, pd.DataFrame] = dict(iter(rows.groupby("panel", sort=False)))
     pages = Page(out, "speed-accuracy", Path(__file__).with_name("notes.md"), quick)
-    settings = "\n".join(
-        f"- {label}: {', '.join(f'{k} {v}' for k, v in of.settings.items() if k != 'solver')}"
-        for label, of in variants().items()
-        if label not in LARGER
-    )
+    # Larger taxels have none.
+    items = []
+    for label, variant in variants().items():
+        if label in LARGER:
+            continue
+        texts = [f"{k} {v}" for k, v in variant.settings.items() if k != "solver"]
+        items.append(f"- {label}: {', '.join(texts)}")
+    settings = "\n".join(items)
     n_busy = int((timed["cpu_share"].astype(float) < QUIET_SHARE).sum())
     busy = (
         f"**The host was busy: {n_busy} of {len(timed)} points had a core for less than "
@@ -139,11 +149,13 @@ def write(
     of_times = pooled(timed.fillna({"pace": 0}), ["label", "pace"])
     noisy = {panel: raw_and_zoned(read, panel)[0]["mean_db"] for panel in by_panel}
     pages.section("Time of a frame", draw_times(out, of_times, noisy), _times(of_times))
-    full = [of[of["phi"] == "full"] for of in by_panel.values()]
+    # Sums by their bytes, then the readings of all taxels.
+    sums = [swept(of_panel) for of_panel in by_panel.values()]
+    full = [of_panel[of_panel["phi"] == "full"] for of_panel in by_panel.values()]
     pages.section(
         "Bytes sent",
         _draw(out, by_panel, read),
-        _table(pd.concat([*(swept(of) for of in by_panel.values()), *full])),
+        _table(pd.concat([*sums, *full])),
         "Readings of all taxels without a solver, as they are and with their best dead zone:",
         _readings(read),
     )
@@ -166,17 +178,18 @@ def conclusion(by_panel: dict[Any, pd.DataFrame], read: pd.DataFrame) -> list[st
     """The default beside the paper's method and the reading of all taxels, at M = N/3."""
     lines = []
     best = []
-    for panel, of in by_panel.items():
-        rows = swept(of)
+    for panel, of_panel in by_panel.items():
+        rows = swept(of_panel)
         rows = rows[rows["ratio"] == CENTRE_RATIO].set_index("label")
         raw, _ = raw_and_zoned(read, panel)
-        figures = ", ".join(
-            f"*{label}* {rows.loc[label, 'mean_db']:.1f}"
-            for label in FOCUS
-            if label in rows.index
-        )
+        # A library that is not installed has no row.
+        figures = []
+        for label in FOCUS:
+            if label in rows.index:
+                figures.append(f"*{label}* {rows.loc[label, 'mean_db']:.1f}")
         lines.append(
-            f"{panel}, M = N/{CENTRE_RATIO}, mean PSNR of contact frames in dB: {figures}; all "
+            f"{panel}, M = N/{CENTRE_RATIO}, mean PSNR of contact frames in dB: "
+            f"{', '.join(figures)}; all "
             f"taxels sent {raw['mean_db']:.1f}."
         )
         best.append(f"*{rows['mean_db'].idxmax()}* ({panel})")
@@ -251,7 +264,12 @@ def _draw_panel(axes: Axes, rows: pd.DataFrame, reading: Any, y: str) -> None:
     for sent, (text, style) in zip(reading, styles.items(), strict=True):
         line: dict[str, Any] = {"linestyle": style, "linewidth": 1.2}
         label = f"all taxels sent, {text}"
-        axes.axhline(sent[y], color=_BLACK, label=label, **line)
+        axes.axhline(
+            sent[y],
+            color=_BLACK,
+            label=label,
+            **line,
+        )
         axes.plot(sent["n_bytes"], sent[y], color=_BLACK, marker=MARKERS[-1])
     axes.set_xscale("log")
     # 1, 2, 5 and their tenfolds in plain numbers: half a decade has to show two.
@@ -270,4 +288,9 @@ def _focused(label: str) -> dict[str, Any]:
             "label": "other solvers",
         }
     style = series_style(FOCUS[label])
-    return style | {"linewidth": 2.0, "markersize": 6, "zorder": 3, "label": label}
+    return style | {
+        "linewidth": 2.0,
+        "markersize": 6,
+        "zorder": 3,
+        "label": label,
+    }

@@ -224,10 +224,21 @@ def n_bytes(n: int, ratio: float, rows: str, phi: str) -> int:
     """Bytes of the message of a frame: of measurements, or of taxels with phi ""."""
     if not phi:
         return size_bytes(
-            Taxels(stamp_ns=0, patch="skin", forces=np.zeros((1, n), np.float32))
+            Taxels(
+                stamp_ns=0,
+                patch="skin",
+                forces=np.zeros((1, n), np.float32),
+            )
         )
     y = np.zeros(n if phi == "full" else m_of(n, ratio, rows), np.float32)
-    return size_bytes(Measurements(stamp_ns=0, patch="skin", y=y, phi="0" * 16))
+    return size_bytes(
+        Measurements(
+            stamp_ns=0,
+            patch="skin",
+            y=y,
+            phi="0" * 16,
+        )
+    )
 
 
 def pooled(rows: pd.DataFrame, keys: Sequence[str]) -> pd.DataFrame:
@@ -250,5 +261,7 @@ def gathered(
     rotates = [ROTATING if label == ROTATED else "" for label in split[0]]
     sizes = map(n_bytes, shapes, rows["ratio"], rotates, rows["phi"])
     return rows.assign(
-        label=split[0], pace=pd.to_numeric(split[1]), n_bytes=list(sizes)
+        label=split[0],
+        pace=pd.to_numeric(split[1]),
+        n_bytes=list(sizes),
     )

@@ -107,11 +107,25 @@ def _show_error(axes: Axes) -> None:
 
 def _draw_points(axes: Axes, points: pd.DataFrame, noisy_db: float) -> None:
     """The default as a line of its paces, all others as points, and a label for each."""
-    axes.axhline(noisy_db, color=BLACK, linestyle="--", linewidth=1.0, zorder=1)
+    axes.axhline(
+        noisy_db,
+        color=BLACK,
+        linestyle="--",
+        linewidth=1.0,
+        zorder=1,
+    )
     across = axes.get_yaxis_transform()
     text = "all taxels read, no solver"
     # At the slow end: what takes long and is less accurate than that is of no use.
-    axes.text(0.99, noisy_db, text, fontsize=8, va="top", ha="right", transform=across)
+    axes.text(
+        0.99,
+        noisy_db,
+        text,
+        fontsize=8,
+        va="top",
+        ha="right",
+        transform=across,
+    )
 
     paces = points[points["label"] == ROTATED].sort_values("pace")
     default = paces.iloc[-1]
@@ -199,7 +213,11 @@ class _Labels:
         color: str,
         font: Any,
     ) -> Annotation:
-        sides = {-1: "right", 0: "center", 1: "left"}
+        sides = {
+            -1: "right",
+            0: "center",
+            1: "left",
+        }
         style: dict[str, Any] = {
             "color": color,
             "ha": sides[int(np.sign(offset[0]))],
@@ -210,7 +228,11 @@ class _Labels:
         }
         # A thin line leads from a label that is not next to its point.
         if abs(offset[1]) > _NEAR:
-            line = {"arrowstyle": "-", "color": color, "linewidth": 0.6}
+            line = {
+                "arrowstyle": "-",
+                "color": color,
+                "linewidth": 0.6,
+            }
             style["arrowprops"] = line | {"shrinkA": 0, "shrinkB": 3}
         place = (point["median_ms"], point["mean_db"])
         return self._axes.annotate(

@@ -52,7 +52,8 @@ def _size(rng: np.random.Generator, low: float, high: float) -> float:
 
 def _newtons(rng: np.random.Generator, skin: Skin, low: float, high: float) -> float:
     """A force of either sign, newtons, between two multiples of the range."""
-    return float(rng.choice([-1.0, 1.0])) * _size(rng, low, high) * skin.f_max
+    sign = float(rng.choice([-1.0, 1.0]))
+    return sign * _size(rng, low, high) * skin.f_max
 
 
 # Stuck taxels.
@@ -61,28 +62,39 @@ def _newtons(rng: np.random.Generator, skin: Skin, low: float, high: float) -> f
 def _blob(rng: np.random.Generator, skin: Skin) -> Mask:
     """A connected blob, grown taxel by taxel: compact or ragged as it comes."""
     n_rows, n_cols = skin.exists.shape
-    n_wanted = round(_size(rng, 2, max(3.0, 0.3 * skin.exists.sum())))
+    largest = max(3.0, 0.3 * skin.exists.sum())
+    n_wanted = round(_size(rng, 2, largest))
     cells = np.zeros(skin.exists.shape, dtype=np.bool_)
-    border = [(int(rng.integers(n_rows)), int(rng.integers(n_cols)))]
+    row = int(rng.integers(n_rows))
+    col = int(rng.integers(n_cols))
+    border = [(row, col)]
     while border and np.count_nonzero(cells) < n_wanted:
-        row, col = border.pop(int(rng.integers(len(border))))
-        if not (0 <= row < n_rows and 0 <= col < n_cols) or cells[row, col]:
+        place = int(rng.integers(len(border)))
+        row, col = border.pop(place)
+        is_on_skin = 0 <= row < n_rows and 0 <= col < n_cols
+        if not is_on_skin or cells[row, col]:
             continue
         cells[row, col] = True
-        border += [(row - 1, col), (row + 1, col), (row, col - 1), (row, col + 1)]
+        border += [(row - 1, col), (row + 1, col)]
+        border += [(row, col - 1), (row, col + 1)]
     return cells
 
 
 def _line(rng: np.random.Generator, skin: Skin) -> Mask:
     """A straight line of any direction and length, as of a crack or a cable."""
     rows, cols = np.indices(skin.exists.shape)
-    start = rng.uniform(0, 1, 2) * skin.exists.shape
+    start_row, start_col = rng.uniform(0, 1, 2) * skin.exists.shape
     angle = rng.uniform(0, 2 * math.pi)
     length = _size(rng, 3, max(skin.exists.shape))
-    along = (rows - start[0]) * math.cos(angle) + (cols - start[1]) * math.sin(angle)
-    aside = (cols - start[1]) * math.cos(angle) - (rows - start[0]) * math.sin(angle)
+
+    # Distances from the start, along the line and aside of it.
+    down = rows - start_row
+    across = cols - start_col
+    along = down * math.cos(angle) + across * math.sin(angle)
+    aside = across * math.cos(angle) - down * math.sin(angle)
     half_width = rng.uniform(0.5, 1.2)
-    cells: Mask = (along >= 0) & (along <= length) & (np.abs(aside) <= half_width)
+    is_beside = (along >= 0) & (along <= length)
+    cells: Mask = is_beside & (np.abs(aside) <= half_width)
     return cells
 
 
@@ -90,7 +102,8 @@ def _scattered(rng: np.random.Generator, skin: Skin) -> Mask:
     """Single taxels anywhere."""
     count = round(_size(rng, 1, 0.1 * skin.exists.size))
     cells = np.zeros(skin.exists.size, dtype=np.bool_)
-    cells[rng.choice(cells.size, count, replace=False)] = True
+    places = rng.choice(cells.size, count, replace=False)
+    cells[places] = True
     return cells.reshape(skin.exists.shape)
 
 
@@ -98,12 +111,15 @@ def _strips(rng: np.random.Generator, skin: Skin) -> Mask:
     """Whole rows or columns, next to each other or not."""
     axis = int(rng.integers(2))
     n_lines = skin.exists.shape[axis]
-    count = int(rng.integers(1, max(2, min(5, n_lines // 3))))
+    # Up to four, but no large part of a small skin.
+    n_most = max(2, min(5, n_lines // 3))
+    count = int(rng.integers(1, n_most))
     lines = rng.choice(n_lines, count, replace=False)
     if rng.random() < 0.5:
         lines = (lines[0] + np.arange(count)) % n_lines
     is_stuck = np.isin(np.arange(n_lines), lines)
-    return np.broadcast_to(np.expand_dims(is_stuck, 1 - axis), skin.exists.shape)
+    one_line = np.expand_dims(is_stuck, 1 - axis)
+    return np.broadcast_to(one_line, skin.exists.shape)
 
 
 def _stuck(rng: np.random.Generator, skin: Skin, shape: Callable[..., Mask]) -> Drawn:
@@ -114,7 +130,8 @@ def _stuck(rng: np.random.Generator, skin: Skin, shape: Callable[..., Mask]) -> 
         cells = shape(rng, skin) & skin.exists
     values = [0.0, rng.uniform(0, skin.f_max), skin.f_max]
     value = float(rng.choice(values, p=[0.2, 0.6, 0.2]))
-    text = f"{np.count_nonzero(cells)} taxels at {value:.2f} N"
+    n_stuck = np.count_nonzero(cells)
+    text = f"{n_stuck} taxels at {value:.2f} N"
     return Drawn(text, lambda x, moment: np.where(cells, value, x))
 
 
@@ -126,7 +143,9 @@ def _readings_hum(rng: np.random.Generator, skin: Skin) -> Drawn:
 
     def change(x: Floats, moment: Moment) -> Floats:
         hum = height * math.sin(HUM_PHASE * moment.k)
-        return (x + hum).clip(0, skin.f_max) * skin.exists
+        # What is outside the range is clipped; a hole of the mask reads nothing.
+        readings = (x + hum).clip(0, skin.f_max)
+        return readings * skin.exists
 
     return Drawn(f"{height:.2f} N", change)
 
@@ -135,9 +154,12 @@ def _readings_drift(rng: np.random.Generator, skin: Skin) -> Drawn:
     per_frame = _size(rng, 0.0005, 0.01) * skin.f_max
 
     def change(x: Floats, moment: Moment) -> Floats:
-        return (x + per_frame * moment.k).clip(0, skin.f_max) * skin.exists
+        drift = per_frame * moment.k
+        readings = (x + drift).clip(0, skin.f_max)
+        return readings * skin.exists
 
-    return Drawn(f"{1000 * per_frame:.2f} mN per frame", change)
+    per_frame_mn = 1000 * per_frame
+    return Drawn(f"{per_frame_mn:.2f} mN per frame", change)
 
 
 def _readings_frozen(rng: np.random.Generator, skin: Skin) -> Drawn:
@@ -201,12 +223,15 @@ def _garbage(rng: np.random.Generator, skin: Skin) -> Drawn:
 
 def _stuck_rows(rng: np.random.Generator, skin: Skin) -> Drawn:
     share = _share_of_rows(rng)
-    value = float(rng.choice([0.0, _newtons(rng, skin, 0.1, 30)], p=[0.2, 0.8]))
+    values = [0.0, _newtons(rng, skin, 0.1, 30)]
+    value = float(rng.choice(values, p=[0.2, 0.8]))
     seed = int(rng.integers(2**32))
 
     def change(y: Floats, moment: Moment) -> Floats:
         stuck = y.copy()
-        stuck[_rows(np.random.default_rng(seed), y, share)] = value
+        # The same rows in each frame, as of `_garbage`.
+        rows = _rows(np.random.default_rng(seed), y, share)
+        stuck[rows] = value
         return stuck
 
     return Drawn(f"{_of_rows(share)} at {value:.2f} N", change)
@@ -224,7 +249,8 @@ def _hum(rng: np.random.Generator, skin: Skin) -> Drawn:
     height = _size(rng, 0.02, 1) * skin.f_max
 
     def change(y: Floats, moment: Moment) -> Floats:
-        return y + height * math.sin(HUM_PHASE * moment.k)
+        hum = height * math.sin(HUM_PHASE * moment.k)
+        return y + hum
 
     return Drawn(f"{height:.2f} N", change)
 
@@ -269,7 +295,8 @@ def _loud(rng: np.random.Generator, skin: Skin) -> Drawn:
     deviation = _size(rng, 0.04, 1) * skin.f_max
 
     def change(y: Floats, moment: Moment) -> Any:
-        return y + deviation * moment.rng.standard_normal(y.size)
+        noise = deviation * moment.rng.standard_normal(y.size)
+        return y + noise
 
     return Drawn(f"deviation {deviation:.2f} N", change)
 
@@ -310,7 +337,10 @@ def _lost(rng: np.random.Generator, skin: Skin) -> Drawn:
     seed = int(rng.integers(2**32))
 
     def change(y: Floats, moment: Moment) -> Floats | None:
-        if np.random.default_rng((seed, moment.k // burst)).random() < share:
+        # All frames of a burst draw the same number.
+        number = moment.k // burst
+        rng_of_burst = np.random.default_rng((seed, number))
+        if rng_of_burst.random() < share:
             return None
         return y
 
@@ -392,10 +422,15 @@ class Spoiler:
         self._n_frames += 1
         if fault is None:
             return values
-        if k < fault.begins or self._previous is None or self._healthy is None:
+        # The first frame is always healthy: a frozen one repeats it.
+        is_first = self._previous is None
+        if k < fault.begins or is_first:
             self._previous = values
             self._healthy = values
             return values
+        assert self._previous is not None
+        assert self._healthy is not None
+
         # A generator a frame: what a lost frame drew does not change the next one.
         rng = np.random.default_rng((fault.seed, k))
         moment = Moment(k - fault.begins, self._previous, self._healthy, rng)
@@ -403,7 +438,8 @@ class Spoiler:
         changed = fault.change(values, moment)
         if changed is None:
             return None
-        self.is_empty = bool(np.ptp(changed) == 0) or changed is self._healthy
+        has_one_value = bool(np.ptp(changed) == 0)
+        self.is_empty = has_one_value or changed is self._healthy
         return np.ascontiguousarray(changed, dtype=np.float32)
 
 
@@ -411,6 +447,7 @@ def draw_fault(
     rng: np.random.Generator, skin: Skin, begins: int, kind: str = ""
 ) -> Fault:
     """Draw a fault of a skin. A stated kind replaces the drawn one."""
+    # A stated kind is drawn, too: all else of a seed stays the same.
     drawn_kind = str(rng.choice(list(KINDS)))
     seed = int(rng.integers(2**32))
     kind = kind or drawn_kind

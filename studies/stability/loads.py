@@ -41,24 +41,30 @@ Profile: TypeAlias = Callable[[np.random.Generator, Place], Doubles]
 
 def _even(rng: np.random.Generator, place: Place) -> Doubles:
     coverage = rng.uniform(0.7, 1.0)
-    return np.where(rng.random(place.down.shape) < coverage, 1.0, 0.0)
+    is_covered: Mask = rng.random(place.down.shape) < coverage
+    return is_covered.astype(np.float64)
 
 
 def _half(rng: np.random.Generator, place: Place) -> Doubles:
-    return np.where(place.along(rng.uniform(0, 2 * math.pi)) < 0, 1.0, 0.0)
+    angle = rng.uniform(0, 2 * math.pi)
+    is_on_one_side: Mask = place.along(angle) < 0
+    return is_on_one_side.astype(np.float64)
 
 
 def _rough(rng: np.random.Generator, place: Place) -> Doubles:
     coverage = rng.uniform(0.3, 0.9)
     levels = 1 + 0.5 * rng.standard_normal(place.down.shape)
-    return np.where(rng.random(place.down.shape) < coverage, levels.clip(0), 0.0)
+    is_covered = rng.random(place.down.shape) < coverage
+    return np.where(is_covered, levels.clip(0), 0.0)
 
 
 def _checkered(rng: np.random.Generator, place: Place) -> Doubles:
     side = int(rng.integers(1, 3))
     cells = np.floor(place.down / side) + np.floor(place.across / side)
+    is_black = cells % 2 == 0
     is_inside = place.distance < max(2.0, place.radius)
-    return np.where((cells % 2 == 0) & is_inside, 1.0, 0.0)
+    is_pressed: Mask = is_black & is_inside
+    return is_pressed.astype(np.float64)
 
 
 def _bumps(rng: np.random.Generator, place: Place, count: int, width: float) -> Doubles:
@@ -68,23 +74,30 @@ def _bumps(rng: np.random.Generator, place: Place, count: int, width: float) -> 
         row = rng.uniform(place.down.min(), place.down.max())
         col = rng.uniform(place.across.min(), place.across.max())
         squares = (place.down - row) ** 2 + (place.across - col) ** 2
-        forces += rng.uniform(0.3, 1.0) * np.exp(-0.5 * squares / width**2)
+        height = rng.uniform(0.3, 1.0)
+        forces += height * np.exp(-0.5 * squares / width**2)
     return forces
 
 
 def _smooth(rng: np.random.Generator, place: Place) -> Doubles:
     width = max(1.5, min(place.down.shape) / 8)
     forces = _bumps(rng, place, 8, width)
-    level = float(np.quantile(forces, rng.uniform(0.3, 0.8)))
+    # What lies below the level is not touched.
+    part_below = rng.uniform(0.3, 0.8)
+    level = float(np.quantile(forces, part_below))
     return np.maximum(forces - level, 0)
 
 
 def _sole(rng: np.random.Generator, place: Place) -> Doubles:
     count = int(rng.integers(2, 8))
-    return (_bumps(rng, place, count, rng.uniform(1.0, 2.5)) - 0.05).clip(0)
+    width = rng.uniform(1.0, 2.5)
+    forces = _bumps(rng, place, count, width)
+    # The tails of a bump touch nothing.
+    return (forces - 0.05).clip(0)
 
 
 def _disc(rng: np.random.Generator, place: Place) -> Doubles:
+    # Pressure under a sphere (Hertz, 1881).
     depth = 1 - (place.distance / place.radius) ** 2
     forces: Doubles = np.sqrt(np.maximum(depth, 0))
     return forces
@@ -94,19 +107,23 @@ def _box(rng: np.random.Generator, place: Place) -> Doubles:
     height, width = place.radius * rng.uniform(0.3, 1.0, 2)
     is_in_rows = np.abs(place.down) <= max(1.0, height)
     is_in_cols = np.abs(place.across) <= max(1.0, width)
-    return np.where(is_in_rows & is_in_cols, 1.0, 0.0)
+    is_pressed: Mask = is_in_rows & is_in_cols
+    return is_pressed.astype(np.float64)
 
 
 def _ring(rng: np.random.Generator, place: Place) -> Doubles:
     radius = max(2.0, place.radius)
     inner = rng.uniform(0.4, 0.8) * radius
-    return np.where((place.distance <= radius) & (place.distance >= inner), 1.0, 0.0)
+    is_ring: Mask = (place.distance <= radius) & (place.distance >= inner)
+    return is_ring.astype(np.float64)
 
 
 def _edge(rng: np.random.Generator, place: Place) -> Doubles:
-    from_line = np.abs(place.along(rng.uniform(0, math.pi)))
+    angle = rng.uniform(0, math.pi)
+    is_on_line = np.abs(place.along(angle)) < rng.uniform(0.6, 1.5)
     is_near = place.distance < max(3.0, 2 * place.radius)
-    return np.where((from_line < rng.uniform(0.6, 1.5)) & is_near, 1.0, 0.0)
+    is_pressed: Mask = is_on_line & is_near
+    return is_pressed.astype(np.float64)
 
 
 def _taxel(rng: np.random.Generator, place: Place) -> Doubles:
@@ -118,7 +135,10 @@ def _taxel(rng: np.random.Generator, place: Place) -> Doubles:
 def _few(rng: np.random.Generator, place: Place) -> Doubles:
     count = int(rng.integers(2, 9))
     forces = np.zeros(place.down.size)
-    forces[rng.choice(forces.size, count, replace=False)] = rng.uniform(0.4, 1.0, count)
+    # Forces are drawn before their places: an assignment draws its right side first.
+    heights = rng.uniform(0.4, 1.0, count)
+    cells = rng.choice(forces.size, count, replace=False)
+    forces[cells] = heights
     return forces.reshape(place.down.shape)
 
 
@@ -166,10 +186,12 @@ class Load:
         """Forces k frames after the first touch of `n_pressed` frames, newtons, float32."""
         share = min(1.0, (k + 1) / self.rise)
         if self.motion == "ramps":
-            share = min(
-                1.0, (k + 1) / (0.7 * n_pressed), (n_pressed - k) / (0.3 * n_pressed)
-            )
-        if self.motion == "comes and goes" and k % self.period >= 0.6 * self.period:
+            # It grows for 70 % of the time, and falls faster.
+            rising = (k + 1) / (0.7 * n_pressed)
+            falling = (n_pressed - k) / (0.3 * n_pressed)
+            share = min(1.0, rising, falling)
+        is_away = k % self.period >= 0.6 * self.period
+        if self.motion == "comes and goes" and is_away:
             share = 0.0
         press = self.press
         if self.motion == "moves":
@@ -184,9 +206,9 @@ def shifted(frame: Floats, distances: list[float]) -> Floats:
     for axis, distance in enumerate(distances):
         whole = math.floor(distance)
         part = distance - whole
-        frame = (1 - part) * _rolled(frame, whole, axis) + part * _rolled(
-            frame, whole + 1, axis
-        )
+        near = _rolled(frame, whole, axis)
+        far = _rolled(frame, whole + 1, axis)
+        frame = (1 - part) * near + part * far
     return frame
 
 
@@ -206,23 +228,30 @@ def draw_load(
     motion: str = "",
 ) -> Load:
     """Draw a load on the taxels that exist. A stated kind or motion replaces the drawn one."""
+    # What is stated is drawn, too: all else of a seed stays the same.
     drawn_kind = str(rng.choice(list(KINDS)))
     drawn_motion = str(rng.choice(MOTIONS))
     kind = kind or drawn_kind
-    force = f_max * math.exp(rng.uniform(math.log(0.08), math.log(0.96)))
+    exponent = rng.uniform(math.log(0.08), math.log(0.96))
+    force = f_max * math.exp(exponent)
+    # Half of the loads are smooth.
     roughness = max(0.0, float(rng.uniform(-0.4, 0.4)))
+
     profile = np.zeros(exists.shape)
     # A small load may lie on a hole of the mask alone.
     while not profile.any():
-        profile = KINDS[kind](rng, _draw_place(rng, exists.shape))
-        profile *= (1 + roughness * rng.standard_normal(exists.shape)).clip(0)
+        place = _draw_place(rng, exists.shape)
+        profile = KINDS[kind](rng, place)
+        levels = 1 + roughness * rng.standard_normal(exists.shape)
+        profile *= levels.clip(0)
         profile *= exists
+    press = force * profile / max(profile.max(), TINY)
     return Load(
         kind=kind,
         motion=motion or drawn_motion,
         force=force,
         roughness=roughness,
-        press=(force * profile / max(profile.max(), TINY)).astype(np.float32),
+        press=press.astype(np.float32),
         rise=int(rng.integers(1, 9)),
         velocity=_draw_velocity(rng),
         reach=int(rng.integers(10, 60)),
@@ -233,9 +262,11 @@ def draw_load(
 def _draw_place(rng: np.random.Generator, shape: tuple[int, ...]) -> Place:
     """A centre off the edges, and a radius of any size up to half the skin."""
     rows, cols = np.indices(shape).astype(np.float64)
-    centre = rng.uniform(MARGIN, 1 - MARGIN, 2) * (np.array(shape) - 1)
-    radius = math.exp(rng.uniform(math.log(1.2), math.log(max(2.0, min(shape) / 2))))
-    return Place(rows - centre[0], cols - centre[1], radius)
+    parts = rng.uniform(MARGIN, 1 - MARGIN, 2)
+    centre_row, centre_col = parts * (np.array(shape) - 1)
+    largest = max(2.0, min(shape) / 2)
+    radius = math.exp(rng.uniform(math.log(1.2), math.log(largest)))
+    return Place(rows - centre_row, cols - centre_col, radius)
 
 
 def _draw_velocity(rng: np.random.Generator) -> tuple[float, float]:

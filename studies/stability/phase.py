@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pandas as pd
+from matplotlib.axes import Axes
 from scipy.optimize import minimize_scalar
 from scipy.special import ndtr
 
@@ -43,16 +45,25 @@ def weak_threshold(delta: float) -> float:
     def negative_rho(z: float) -> float:
         bell = z * np.exp(-0.5 * z * z) / np.sqrt(2 * np.pi)
         tail = (1.0 + z * z) * ndtr(-z) - bell
-        return -float((1.0 - 2.0 / delta * tail) / (1.0 + z * z - 2.0 * tail))
+        numerator = 1.0 - 2.0 / delta * tail
+        denominator = 1.0 + z * z - 2.0 * tail
+        return -float(numerator / denominator)
 
     lowest = minimize_scalar(negative_rho, bounds=(0.0, 8.0), method="bounded")
     return -float(lowest.fun)
 
 
+def _ratios(quick: bool) -> Sequence[float]:
+    return QUICK_RATIOS if quick else RATIOS
+
+
+def _rhos(quick: bool) -> Sequence[float]:
+    return QUICK_RHOS if quick else RHOS
+
+
 def coefficients(ratio: float, quick: bool) -> dict[float, int]:
     """Numbers of coefficients of the pads at a ratio, by K/M."""
-    rhos = QUICK_RHOS if quick else RHOS
-    return {rho: round(rho * SIDE**2 / ratio) for rho in rhos}
+    return {rho: round(rho * SIDE**2 / ratio) for rho in _rhos(quick)}
 
 
 def experiments(quick: bool, seed: int) -> Iterator[Experiment]:
@@ -60,7 +71,7 @@ def experiments(quick: bool, seed: int) -> Iterator[Experiment]:
     candidates = {label: Candidate(own(name)) for label, name in SUM_SOLVERS.items()}
     candidates |= LARGER | READINGS
     seeds = range(seed, seed + (1 if quick else 3))
-    for ratio in QUICK_RATIOS if quick else RATIOS:
+    for ratio in _ratios(quick):
         frames = []
         for k in coefficients(ratio, quick).values():
             if k >= LEAST_K:
@@ -74,8 +85,10 @@ def section(page: Page, quick: bool, seed: int, executor: str) -> None:
     parts = [
         experiment.run(page.out, executor) for experiment in experiments(quick, seed)
     ]
-    every = pd.concat(parts).astype({"mean_db": float})
-    of_pads = every.groupby(["n_coefficients", "ratio", "method"], sort=False)
+    rows_of_frames = pd.concat(parts).astype({"mean_db": float})
+    keys = ["n_coefficients", "ratio", "method"]
+    # The mean over the seeds.
+    of_pads = rows_of_frames.groupby(keys, sort=False)
     psnr_db = of_pads["mean_db"].mean().unstack("method")
     # What compressing gains over reading all taxels of the same frames.
     (name,) = READINGS
@@ -98,14 +111,15 @@ def _edges(centres: Sequence[float]) -> list[float]:
 
 def _gains(rows: pd.DataFrame, quick: bool) -> Floats:
     """Gain by K/M and M/N, both ascending, dB: NaN where there is no pad."""
-    known = rows.set_index(["n_coefficients", "ratio"])["gain_db"]
-    rhos = QUICK_RHOS if quick else RHOS
-    ratios = QUICK_RATIOS if quick else RATIOS
+    gain_db = rows.set_index(["n_coefficients", "ratio"])["gain_db"]
+    rhos = _rhos(quick)
+    ratios = _ratios(quick)
     gains = np.full((len(rhos), len(ratios)), np.nan, dtype=np.float32)
     for column, ratio in enumerate(ratios):
         counts = coefficients(ratio, quick)
         for row, rho in enumerate(rhos):
-            gains[row, column] = known.get((counts[rho], ratio), np.nan)
+            pad = (counts[rho], ratio)
+            gains[row, column] = gain_db.get(pad, np.nan)
     return gains
 
 
@@ -121,30 +135,52 @@ def _draw(out: Path, rows: pd.DataFrame, quick: bool) -> str:
     size_in = (2.4 * n + 1.0, 3.2)
     deltas = np.linspace(0.02, 0.85, 80)
     threshold = [weak_threshold(delta) for delta in deltas]
-    # Columns are as wide as the logarithm of M/N has them.
-    shares = [1 / ratio for ratio in (QUICK_RATIOS if quick else RATIOS)]
-    x_edges = np.exp(_edges(np.log(shares).tolist()))
-    y_edges = _edges(QUICK_RHOS if quick else RHOS)
-    style: dict[str, Any] = {"cmap": "RdBu", "vmin": -15.0, "vmax": 15.0}
     with Chart(out, "phase_skin", caption, n, n, size_in=size_in, sharey=True) as chart:
         for axes, method in zip(chart.panels, methods, strict=True):
-            gains = _gains(rows[rows["method"] == method], quick)
-            axes.set_facecolor("0.85")
-            axes.grid(False)
-            cells = axes.pcolormesh(
-                x_edges, y_edges, np.ma.masked_invalid(gains), **style
-            )
-            limits = {
-                "xlim": (x_edges[0], x_edges[-1]),
-                "ylim": (y_edges[0], y_edges[-1]),
-            }
-            axes.set(title=TITLES.get(method, method), xscale="log", **limits)
-            ticks = (32, 16, 8, 4, 2)
-            axes.set_xticks([1 / k for k in ticks], [f"1/{k}" for k in ticks])
-            axes.minorticks_off()
+            of_method = rows[rows["method"] == method]
+            cells = _draw_gains(axes, _gains(of_method, quick), quick)
+            axes.set_title(TITLES.get(method, method))
             label = "l1 finds nearly all below (Donoho, Tanner)"
-            axes.plot(deltas, threshold, color="black", lw=1.6, label=label)
+            axes.plot(
+                deltas,
+                threshold,
+                color="black",
+                lw=1.6,
+                label=label,
+            )
         chart.label("M/N: measurements per taxel", "K/M: coefficients per measurement")
         label = "dB above reading all taxels"
-        chart.figure.colorbar(cells, ax=chart.panels, label=label, extend="both")
+        chart.figure.colorbar(
+            cells,
+            ax=chart.panels,
+            label=label,
+            extend="both",
+        )
     return chart.markdown
+
+
+def _draw_gains(axes: Axes, gains: Floats, quick: bool) -> Any:
+    """Draw one map; return its cells, for a scale of their colours."""
+    # Columns are as wide as the logarithm of M/N has them.
+    logarithms = [-math.log(ratio) for ratio in _ratios(quick)]
+    x_edges = np.exp(_edges(logarithms))
+    y_edges = _edges(_rhos(quick))
+    style: dict[str, Any] = {
+        "cmap": "RdBu",
+        "vmin": -15.0,
+        "vmax": 15.0,
+    }
+    axes.set_facecolor("0.85")
+    axes.grid(False)
+    # What was not computed lets the grey through.
+    known_gains = np.ma.masked_invalid(gains)
+    cells = axes.pcolormesh(x_edges, y_edges, known_gains, **style)
+    axes.set(
+        xscale="log",
+        xlim=(x_edges[0], x_edges[-1]),
+        ylim=(y_edges[0], y_edges[-1]),
+    )
+    ticks = (32, 16, 8, 4, 2)
+    axes.set_xticks([1 / k for k in ticks], [f"1/{k}" for k in ticks])
+    axes.minorticks_off()
+    return cells

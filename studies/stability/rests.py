@@ -61,35 +61,41 @@ def draw_rest_world(rng: np.random.Generator, kind: str) -> RestWorld:
     """Draw a skin, its rest, noise and load. The load is there from the first frame on in a third
     of the worlds; noise around 0 is clipped at 0 in half of them.
     """
-    rows, cols = (int(side) for side in rng.integers(4, 41, 2))
+    rows, cols = rng.integers(4, 41, 2).tolist()
     exists = _draw_mask(rng, (rows, cols))
     f_max = float(rng.choice(RANGES))
-    skin = Skin(rows, cols, f_max, "counts", mask=None if exists.all() else exists)
-    noise = f_max * math.exp(rng.uniform(math.log(1e-4), math.log(0.02)))
+    mask = None if exists.all() else exists
+    skin = Skin(rows, cols, f_max, "counts", mask=mask)
+    exponent = rng.uniform(math.log(1e-4), math.log(0.02))
+    noise = f_max * math.exp(exponent)
+    # One skin in five has none.
     noise *= float(rng.random() < 0.8)
     is_whole = f_max > 2.5 and rng.random() < 0.7
     load = draw_load(rng, exists, f_max)
     begin = int(rng.choice([0, 0, *rng.integers(5, 60, 4)]))
     is_level = kind in (LEVEL, LEVEL_FALLS)
-    rest = np.zeros((rows, cols))
+    levels = np.zeros((rows, cols))
     if is_level:
-        rest = _draw_levels(rng, (rows, cols), f_max)
+        levels = _draw_levels(rng, (rows, cols), f_max)
     is_clipped = is_level or (kind == FORCES and rng.random() < 0.5)
+
     readings = []
     forces = []
     for k in range(N_FRAMES):
         press = np.zeros((rows, cols))
         if k >= begin:
             press += load.forces(k - begin, N_FRAMES - begin)
-        values = _pressed(rest, press, f_max, kind)
+        values = _pressed(levels, press, f_max, kind)
         values += noise * rng.standard_normal(values.shape)
         if is_whole:
             values = np.rint(values)
         if is_clipped:
             values = values.clip(0, f_max)
-        readings.append(np.where(exists, values, 0).astype(np.float32))
+        of_taxels = np.where(exists, values, 0)
+        readings.append(of_taxels.astype(np.float32))
         forces.append(press.astype(np.float32))
-    level = float(np.median(rest[exists]))
+
+    level = float(np.median(levels[exists]))
     return RestWorld(kind, skin, readings, forces, begin, level, noise, load.describe())
 
 
@@ -98,30 +104,38 @@ def _draw_mask(rng: np.random.Generator, shape: tuple[int, int]) -> Mask:
     exists = np.ones(shape, dtype=np.bool_)
     if rng.random() < 0.3:
         exists = rng.random(shape) < rng.uniform(0.6, 1.0)
-    return exists if exists.sum() > 8 else np.ones_like(exists)
+    # Of fewer, a level shows nothing.
+    if exists.sum() <= 8:
+        return np.ones_like(exists)
+    return exists
 
 
 def _draw_levels(
     rng: np.random.Generator, shape: tuple[int, int], f_max: float
 ) -> Doubles:
     """Readings at rest: of one size, on a slope, or of few kinds. One taxel in 200 is dead."""
-    base = f_max * math.exp(rng.uniform(math.log(0.05), math.log(0.9)))
-    least = rng.uniform(0.3, 1.0)
+    exponent = rng.uniform(math.log(0.05), math.log(0.9))
+    highest = f_max * math.exp(exponent)
+    lowest_part = rng.uniform(0.3, 1.0)
     kind = rng.integers(3)
     if kind == 0:
-        parts = rng.uniform(least, 1.0, shape)
+        parts = rng.uniform(lowest_part, 1.0, shape)
     elif kind == 1:
-        parts = np.linspace(least, 1.0, shape[0])[:, np.newaxis] * np.ones(shape)
+        slope = np.linspace(lowest_part, 1.0, shape[0])
+        parts = slope[:, np.newaxis] * np.ones(shape)
     else:
         parts = np.exp(-0.4 * np.abs(rng.standard_normal(shape)))
-    return base * np.where(rng.random(shape) < 0.005, 0.0, parts)
+    is_dead = rng.random(shape) < 0.005
+    return highest * np.where(is_dead, 0.0, parts)
 
 
-def _pressed(rest: Doubles, press: Doubles, f_max: float, kind: str) -> Doubles:
+def _pressed(levels: Doubles, press: Doubles, f_max: float, kind: str) -> Doubles:
     """Readings under a press: up to the range, or down towards 0 as of a divider."""
     if kind == LEVEL_FALLS:
-        return np.asarray(rest / (1 + 4 * press / f_max))
-    return np.asarray(rest - press if kind == FALLS else rest + press)
+        return np.asarray(levels / (1 + 4 * press / f_max))
+    if kind == FALLS:
+        return levels - press
+    return levels + press
 
 
 def reasons_of(world: RestWorld) -> list[str]:
@@ -171,7 +185,8 @@ def _counts(kind: str, n_worlds: int, begins: bool) -> str:
     """Numbers of wrong worlds and frames, each of all, in words."""
     counts = [0, 0, 0, 0]
     for seed in range(n_worlds):
-        world = draw_rest_world(np.random.default_rng((KINDS.index(kind), seed)), kind)
+        rng = np.random.default_rng((KINDS.index(kind), seed))
+        world = draw_rest_world(rng, kind)
         if (world.begin == 0) != begins:
             continue
         reasons = reasons_of(world)

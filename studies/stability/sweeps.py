@@ -36,7 +36,12 @@ SHOWN = {
     "touched_db": ("1 N / error where touched, dB", 0, 60),
 }
 """Label of each score, and where its curves are cut off."""
-GREY: dict[str, Any] = {"color": "#555555", "lw": 2.2, "alpha": 0.6, "zorder": 1}
+GREY: dict[str, Any] = {
+    "color": "#555555",
+    "lw": 2.2,
+    "alpha": 0.6,
+    "zorder": 1,
+}
 """Style of the readings."""
 
 
@@ -75,8 +80,11 @@ SETTINGS = {
 
 def own(solver: str) -> dict[str, Any]:
     """Settings of a solver, by its name for `make_solver`: those of its preset, or its defaults."""
-    presets = (preset for preset in PRESETS.values() if preset["solver"] == solver)
-    return {"solver": solver, "basis": "haar", **next(presets, {})}
+    settings: dict[str, Any] = {"solver": solver, "basis": "haar"}
+    for preset in PRESETS.values():
+        if preset["solver"] == solver:
+            return settings | preset
+    return settings
 
 
 def experiments(quick: bool, seed: int) -> Iterator[Experiment]:
@@ -121,17 +129,24 @@ def _candidates(key: str, values: Sequence[float]) -> dict[str, Candidate]:
 def swept(experiment: Experiment, out: Path, executor: str) -> pd.DataFrame:
     """Means over the excerpts: sweep, ratio, solver, value, scores, and those of the readings."""
     key = experiment.label
-    rows = experiment.run(out, executor).astype({"mean_db": float, "touched_mn": float})
+    rows = experiment.run(out, executor)
+    rows = rows.astype({"mean_db": float, "touched_mn": float})
     # A setting of a solver is in the name of the candidate, all else in a column of its own.
-    split = rows["method"].str.split(": ", expand=True).reindex(columns=[0, 1])
+    split = rows["method"].str.split(": ", expand=True)
+    split = split.reindex(columns=[0, 1])
     value = rows[key] if key in rows else pd.to_numeric(split[1])
-    rows = rows.assign(sweep=key, solver=split[0], value=value)
-    rows["touched_db"] = -20 * np.log10((1e-3 * rows["touched_mn"]).clip(1e-6))
+    rows = rows.assign(
+        sweep=key,
+        solver=split[0],
+        value=value,
+    )
+    # In dB below 1 N; an error of 0 has no logarithm.
+    touched_n = (1e-3 * rows["touched_mn"]).clip(1e-6)
+    rows["touched_db"] = -20 * np.log10(touched_n)
 
     scores = list(SHOWN)
-    groups = rows.groupby(
-        ["sweep", "ratio", "solver", "value"], sort=False, dropna=False
-    )
+    keys = ["sweep", "ratio", "solver", "value"]
+    groups = rows.groupby(keys, sort=False, dropna=False)
     means = groups[scores].mean().reset_index()
     is_reading = means["solver"].isin(READINGS)
     noisy_names = {score: f"noisy_{score}" for score in scores}
@@ -180,8 +195,10 @@ def _draw(out: Path, ratio: int, frame: pd.DataFrame) -> str:
     size_in = (n * 2.9, 5.2)
     with Chart(out, f"settings_n{ratio}", caption, 2 * n, n, size_in=size_in) as chart:
         for k, (key, sweep) in enumerate(SETTINGS.items()):
-            _draw_sweep(chart.panels[k::n], frame[frame["sweep"] == key], sweep)
-        for axes, (title, *_) in zip(chart.panels[::n], SHOWN.values(), strict=True):
+            of_sweep = frame[frame["sweep"] == key]
+            _draw_sweep(chart.panels[k::n], of_sweep, sweep)
+        first_column = chart.panels[::n]
+        for axes, (title, *_) in zip(first_column, SHOWN.values(), strict=True):
             axes.set_ylabel(title)
     return chart.markdown
 
@@ -205,11 +222,13 @@ def sweep_table(frame: pd.DataFrame) -> pd.DataFrame:
     curves = frame.reset_index().groupby(["sweep", "solver"], sort=False)
     lines = []
     for (key, solver), rows in curves:
+        best = rows.loc[rows["mean_db"].idxmax()]
+        worst = rows.loc[rows["mean_db"].idxmin()]
         line = {
             "swept": key,
             "solver": solver,
-            "best, dB (where touched)": _both(rows.loc[rows["mean_db"].idxmax()]),
-            "worst": _both(rows.loc[rows["mean_db"].idxmin()]),
+            "best, dB (where touched)": _both(best),
+            "worst": _both(worst),
             "fails": failing(rows, SETTINGS[str(key)]),
         }
         lines.append(line)
@@ -234,6 +253,7 @@ def failing(frame: pd.DataFrame, sweep: Sweep) -> str:
     failed = frame["value"][loss > 0.0]
     if len(failed) == len(frame):
         return "everywhere"
-    below = [f"≤ {value:.3g}" for value in failed[failed < best]]
-    above = [f"≥ {value:.3g}" for value in failed[failed > best]]
-    return " and ".join(below[-1:] + above[:1]) or "nowhere"
+    # Values ascend: the last of those below, and the first of those above.
+    limits = [f"≤ {value:.3g}" for value in failed[failed < best]][-1:]
+    limits += [f"≥ {value:.3g}" for value in failed[failed > best]][:1]
+    return " and ".join(limits) or "nowhere"

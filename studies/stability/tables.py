@@ -32,7 +32,11 @@ QUICK_KINDS = {
     "load": ("even", "disc"),
     "fault": ("stuck blob", "garbage at times", "zeros"),
 }
-ALL_WAYS = {NO_FAULT: 4, OF_TAXELS: 10, OF_MEASUREMENTS: 10}
+ALL_WAYS = {
+    NO_FAULT: 4,
+    OF_TAXELS: 10,
+    OF_MEASUREMENTS: 10,
+}
 """One world of so many goes through all ways, by the group of its fault. Chosen."""
 SILENT_GOAL = 0.02
 """Share of wrong and trusted frames up to which a fault is noticed. Chosen."""
@@ -51,7 +55,9 @@ def run(
     """Compute the study, write its page and return its conclusion; see `command.Study`. `worlds`:
     number of worlds of each kind; with it these sections alone.
     """
-    command = f"study stability --worlds {worlds}" if worlds else ""
+    command = ""
+    if worlds:
+        command = f"study stability --worlds {worlds}"
     page = Page(out, "stability", Path(__file__).with_name("notes.md"), quick, command)
     if not worlds:
         phase.section(page, quick, seed, executor)
@@ -81,11 +87,16 @@ def points(
     asked += [{"load": "", "fault": kind} for kind in kinds["fault"]]
     worlds: list[dict[str, Any]] = []
     for number, kind in enumerate(asked):
+        # All ways are slow: they are run for a part of the worlds.
+        n_apart = ALL_WAYS[GROUPS[kind["fault"]]]
+        first_seed = (1000 * seed + number) * 1000
         for k in range(n_worlds):
-            world = {**kind, "seed": (1000 * seed + number) * 1000 + k}
-            worlds.append({**world, "through": "Stream"})
-            if k % ALL_WAYS[GROUPS[kind["fault"]]] == 0:
-                worlds += [{**world, "through": way} for way in WAYS if way != "Stream"]
+            world = kind | {"seed": first_seed + k}
+            worlds.append(world | {"through": "Stream"})
+            if k % n_apart == 0:
+                for way in WAYS:
+                    if way != "Stream":
+                        worlds.append(world | {"through": way})
     return worlds
 
 
@@ -107,10 +118,10 @@ def measure(point: dict[str, Any]) -> dict[str, Any]:
 
 def judged(worlds: Sequence[dict[str, Any]], out: Path, executor: str) -> pd.DataFrame:
     """Points with their figures, and the group of their fault."""
-    rows = pd.DataFrame(compute_rows(measure, worlds, out, executor, "worlds"))
-    return rows.assign(group=rows["fault"].map(GROUPS)).astype(
-        {"error": float, "reading": float}
-    )
+    verdicts = compute_rows(measure, worlds, out, executor, "worlds")
+    rows = pd.DataFrame(verdicts)
+    rows = rows.assign(group=rows["fault"].map(GROUPS))
+    return rows.astype({"error": float, "reading": float})
 
 
 def shares(rows: pd.DataFrame, by: str) -> pd.DataFrame:
@@ -118,9 +129,12 @@ def shares(rows: pd.DataFrame, by: str) -> pd.DataFrame:
     with a silent frame, and with force that stays after release; medians of the errors; share of
     the estimated errors that are close to the true one.
     """
-    kinds = rows.assign(
-        worlds=1, of_silent=rows["silent"] > 0, of_residue=rows["residue"] > RESIDUE
-    ).groupby(by, sort=False)
+    counted = rows.assign(
+        worlds=1,
+        of_silent=rows["silent"] > 0,
+        of_residue=rows["residue"] > RESIDUE,
+    )
+    kinds = counted.groupby(by, sort=False)
     counts = ["frames", "wrong", "silent", "right", "alarms", "estimated", "close"]
     sums = kinds[["worlds", *counts, "of_silent", "of_residue"]].sum()
     sums["close"] = sums["close"] / sums["estimated"].where(sums["estimated"] > 0)
@@ -160,19 +174,25 @@ def without_fault(page: Page, rows: pd.DataFrame) -> str:
     still = still[still["reading"] < GOOD]
     is_far = still["error"] > FAR_FROM_READING * still["reading"]
     sums = sound.groupby("rows")[["close", "estimated"]].sum()
-    close = {rows: percent(k / n) for rows, k, n in sums.itertuples() if n}
-    each = ", ".join(f"{share} % ({rows} rows)" for rows, share in close.items())
+    shares_close = []
+    for kind_of_rows, n_close, n_estimated in sums.itertuples():
+        if n_estimated:
+            share = percent(n_close / n_estimated)
+            shares_close.append(f"{share} % ({kind_of_rows} rows)")
+    each_close = ", ".join(shares_close)
+    n_residues = (sound["residue"] > RESIDUE).sum()
     return (
         f"Without a fault, {_counts(sound)}; force stays after release in "
-        f"{(sound['residue'] > RESIDUE).sum()}; still loads with rotating rows have more than "
+        f"{n_residues}; still loads with rotating rows have more than "
         f"twice the error of reading all taxels in {is_far.sum()} of {len(still)}; estimated "
-        f"errors are within a factor of {CLOSE:g} in {each} of the pressed frames."
+        f"errors are within a factor of {CLOSE:g} in {each_close} of the pressed frames."
     )
 
 
 def _with_percents(kinds: pd.DataFrame, headings: Mapping[str, str]) -> pd.DataFrame:
     """Columns under their headings, those that end in % as percentages."""
-    table = kinds[list(headings)].set_axis(list(headings.values()), axis="columns")
+    table = kinds[list(headings)]
+    table = table.set_axis(list(headings.values()), axis="columns")
     for heading in table:
         if heading.endswith("%"):
             table[heading] = table[heading].map(percent)
@@ -181,20 +201,21 @@ def _with_percents(kinds: pd.DataFrame, headings: Mapping[str, str]) -> pd.DataF
 
 def _counts(rows: pd.DataFrame) -> str:
     """Silent frames and false alarms of worlds, in words."""
-    silent = rows["silent"].sum() / rows["frames"].sum()
-    alarms = rows["alarms"].sum() / rows["frames"].sum()
+    n_frames = rows["frames"].sum()
+    silent = rows["silent"].sum() / n_frames
+    alarms = rows["alarms"].sum() / n_frames
+    n_worlds = (rows["silent"] > 0).sum()
     return (
-        f"{silent:.2%} of the frames are wrong and trusted, in {(rows['silent'] > 0).sum()} of "
-        f"{len(rows)} worlds, and {alarms:.1%} are right and not trusted"
+        f"{silent:.2%} of the frames are wrong and trusted, in {n_worlds} of {len(rows)} worlds, "
+        f"and {alarms:.1%} are right and not trusted"
     )
 
 
 def with_fault(page: Page, rows: pd.DataFrame) -> str:
     """Add the section on faults, by kind; the line of the conclusion."""
     faulty = rows[(rows["group"] != NO_FAULT) & (rows["through"] == "Stream")]
-    kinds = shares(faulty, "fault").sort_values(
-        "silent", ascending=False, kind="stable"
-    )
+    kinds = shares(faulty, "fault")
+    kinds = kinds.sort_values("silent", ascending=False, kind="stable")
     headings = {
         "fault": "fault",
         "worlds": "worlds",
@@ -222,7 +243,14 @@ def _draw(out: Path, kinds: pd.DataFrame) -> str:
         "alarms": "right and not trusted, % of frames",
     }
     chart = Chart(
-        out, "faults", caption, 2, 2, size_in=size_in, legend_columns=0, sharey=True
+        out,
+        "faults",
+        caption,
+        2,
+        2,
+        size_in=size_in,
+        legend_columns=0,
+        sharey=True,
     )
     limit = 115 * kinds[list(columns)].max(axis=None)
     with chart:

@@ -98,6 +98,7 @@ def through_stream(world: World, fast: str) -> Iterator[tuple[Frame, Answer | No
         "fast": fast,
         **world.noise.options,
     }
+    # Two streams, as of two programs: nothing but measurements passes between them.
     edge = Stream(world.shape, **options)
     host = Stream(world.shape, **options)
     spoiler = world.spoiler(of_taxels=False)
@@ -114,7 +115,8 @@ def through_stream(world: World, fast: str) -> Iterator[tuple[Frame, Answer | No
 def through_arrays(world: World, fast: str) -> Iterator[tuple[Frame, Answer | None]]:
     """Through the functions `compress`, `make_solver`, `reconstruct`."""
     n = int(np.count_nonzero(world.exists))
-    phi = make_phi("sbhe", n, m_of(n, world.ratio, world.rows), seed=world.seed % 5)
+    m = m_of(n, world.ratio, world.rows)
+    phi = make_phi("sbhe", n, m, seed=world.seed % 5)
     basis = make_basis("haar", *world.shape)
     options: dict[str, Any] = {"fast": fast, "rows": world.rows}
     solver: Any = make_solver("skin", phi, basis, world.exists, **options)
@@ -179,7 +181,7 @@ def through_graph(world: World, fast: str) -> Iterator[tuple[Frame, Answer | Non
             continue
         sent = host.step(replace(measured, y=y[np.newaxis]))
         # Contacts and other state may come with it.
-        (answer,) = (each for each in sent if isinstance(each, Reconstruction))
+        (answer,) = (message for message in sent if isinstance(message, Reconstruction))
         trust = answer.trusted[0], answer.reason[0]
         yield frame, Answer(answer.forces[0], *trust, spoiler.is_empty, answer.error[0])
 
@@ -223,6 +225,7 @@ def verdict_on(world: World, answers: Iterable[tuple[Frame, Answer | None]]) -> 
     times = world.times
     frames = [world.truth(k) for k in range(times.end)]
     norms = np.array([np.linalg.norm(truth) for truth in frames])
+    # An error of an untouched skin is compared with a small part of the load.
     scale = np.maximum(norms, LEAST_NORM * norms.max())
     is_pressed = norms > LEAST_PRESSED * norms.max()
     is_touched = np.any([truth > 0 for truth in frames], axis=0)
@@ -239,37 +242,52 @@ def verdict_on(world: World, answers: Iterable[tuple[Frame, Answer | None]]) -> 
 
     for k, (frame, answer) in enumerate(answers):
         reading[k] = np.linalg.norm(frame.healthy - frame.truth) / scale[k]
+        # A lost frame is neither right nor wrong.
         if answer is None:
             continue
-        error[k] = np.linalg.norm(answer.forces - frame.truth) / scale[k]
+        distance = np.linalg.norm(answer.forces - frame.truth)
+        error[k] = distance / scale[k]
         is_trusted[k] = answer.trusted
         is_empty[k] = frame.is_empty or answer.is_empty
         if answer.error and is_pressed[k] and k >= max(world.first_judged, UNSETTLED):
-            distance = np.linalg.norm(answer.forces - frame.truth)
             quotients.append(answer.error * root_n / (distance + TINY))
         if k >= world.first_judged and answer.reason:
             reasons[answer.reason] += 1
         if k >= times.release + UNSETTLED:
-            excess = float((answer.forces - frame.healthy.clip(0))[is_touched].sum())
-            residue = max(residue, excess / total)
+            residue = max(residue, _excess(answer, frame, is_touched) / total)
 
+    # A solver needs some frames after a touch, which all begin with.
     at = np.arange(times.end)
     is_judged = ~np.isnan(error) & (at >= world.first_judged)
     settled_from = max(times.touch, world.first_judged) + UNSETTLED
     is_late = is_judged & (norms > 0) & (at >= settled_from)
-    ratios = np.array(quotients)
     may_be_right = ~is_empty & (at >= UNSETTLED)
     counts = _counts(error, reading, is_judged, is_trusted, may_be_right)
     return Verdict(
         error=_median(error[is_late]),
         reading=_median(reading[is_late]),
         residue=residue,
-        estimated=len(quotients),
-        close=int(np.count_nonzero((ratios > 1 / CLOSE) & (ratios < CLOSE))),
-        low=int(np.count_nonzero(ratios <= 1 / CLOSE)),
         reasons=dict(reasons),
+        **_closeness(np.array(quotients)),
         **counts,
     )
+
+
+def _closeness(quotients: Doubles) -> dict[str, int]:
+    """Numbers of estimated errors of a `Verdict`, by their quotients to the true ones, (n,)."""
+    is_low = quotients <= 1 / CLOSE
+    is_close = ~is_low & (quotients < CLOSE)
+    return {
+        "estimated": quotients.size,
+        "close": int(np.count_nonzero(is_close)),
+        "low": int(np.count_nonzero(is_low)),
+    }
+
+
+def _excess(answer: Answer, frame: Frame, is_touched: Mask) -> float:
+    """Force of touched taxels beyond what is read of them, newtons."""
+    beyond = answer.forces - frame.healthy.clip(0)
+    return float(beyond[is_touched].sum())
 
 
 def _counts(

@@ -138,6 +138,7 @@ class World:
         rng = np.random.default_rng((self.seed, 1))
         spoiler = self.spoiler(of_taxels=True)
         for k in range(self.times.end):
+            # Cells without a taxel read 0, noise included.
             truth = self.truth(k)
             healthy = self.noise.apply(truth, rng) * self.exists
             readings = spoiler.spoil(healthy)
@@ -167,6 +168,7 @@ def draw_world(
     """Draw the world of a seed. Kinds of load, motion, fault and rows, "" if drawn; `sides`: those
     to draw from.
     """
+    # A generator each: what is stated, or drawn in another number, changes nothing else.
     parts = np.random.SeedSequence(seed).spawn(5)
     of_skin, of_load, of_rows, of_noise, of_fault = map(np.random.default_rng, parts)
     shape = _draw_shape(of_skin, sides)
@@ -206,7 +208,9 @@ def _draw_mask(rng: np.random.Generator, shape: tuple[int, int]) -> Mask | None:
     if kind == "none":
         return None
     if kind == "outline":
-        down, across = (2 * axis / axis.max() - 1 for axis in (rows, cols))
+        # Coordinates from -1 to 1; beyond 1 the ellipse is cut by the edges of the grid.
+        down = 2 * rows / rows.max() - 1
+        across = 2 * cols / cols.max() - 1
         ellipse: Mask = down**2 + across**2 <= rng.uniform(1.0, 1.5)
         return ellipse
     mask = np.ones(shape, dtype=np.bool_)
@@ -214,7 +218,8 @@ def _draw_mask(rng: np.random.Generator, shape: tuple[int, int]) -> Mask | None:
         return rng.random(shape) > rng.uniform(0.02, 0.3)
     for _ in range(int(rng.integers(1, 4))):
         row, col = rng.uniform(0, 1, 2) * shape
-        mask &= np.hypot(rows - row, cols - col) > rng.uniform(0.1, 0.25) * min(shape)
+        radius = rng.uniform(0.1, 0.25) * min(shape)
+        mask &= np.hypot(rows - row, cols - col) > radius
     return mask
 
 

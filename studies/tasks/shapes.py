@@ -42,7 +42,13 @@ class Shape(NamedTuple):
 
 def _box(a: float, b: float, u0: float = 0.0, v0: float = 0.0) -> Distance:
     """A rectangle of half sides a and b, its centre at (u0, v0)."""
-    return lambda u, v: np.maximum(np.abs(u - u0) - a, np.abs(v - v0) - b)
+
+    def distance(u: Doubles, v: Doubles) -> Doubles:
+        beyond_u = np.abs(u - u0) - a
+        beyond_v = np.abs(v - v0) - b
+        return np.maximum(beyond_u, beyond_v)
+
+    return distance
 
 
 def _disc(radius: float, u0: float = 0.0, v0: float = 0.0) -> Distance:
@@ -50,7 +56,11 @@ def _disc(radius: float, u0: float = 0.0, v0: float = 0.0) -> Distance:
 
 
 def _union(*parts: Distance) -> Distance:
-    return lambda u, v: np.minimum.reduce([part(u, v) for part in parts])
+    def distance(u: Doubles, v: Doubles) -> Doubles:
+        nearest: Doubles = np.minimum.reduce([part(u, v) for part in parts])
+        return nearest
+
+    return distance
 
 
 def _without(outer: Distance, inner: Distance) -> Distance:
@@ -59,36 +69,43 @@ def _without(outer: Distance, inner: Distance) -> Distance:
 
 def _pads(count: int) -> Distance:
     """Discs on a circle."""
-    angles = [2 * math.pi * k / count for k in range(count)]
-    return _union(
-        *(_disc(0.33, 0.65 * math.cos(a), 0.65 * math.sin(a)) for a in angles)
-    )
+    pads = []
+    for k in range(count):
+        angle = 2 * math.pi * k / count
+        u0 = 0.65 * math.cos(angle)
+        v0 = 0.65 * math.sin(angle)
+        pads.append(_disc(0.33, u0, v0))
+    return _union(*pads)
 
 
 def _triangle(u: Doubles, v: Doubles) -> Doubles:
-    angles = [2 * math.pi * k / 3 for k in range(3)]
-    sides = [u * math.cos(a) + v * math.sin(a) - 0.5 for a in angles]
-    corners: Doubles = np.maximum.reduce(sides)
-    return corners
+    sides = []
+    for k in range(3):
+        angle = 2 * math.pi * k / 3
+        outward = u * math.cos(angle) + v * math.sin(angle)
+        sides.append(outward - 0.5)
+    distance: Doubles = np.maximum.reduce(sides)
+    return distance
 
 
-def _half(u: Doubles, v: Doubles) -> Doubles:
-    return u - 0.1
+def _beyond_half(u: Doubles, v: Doubles) -> Doubles:
+    """All that is above u = 0.1."""
+    return 0.1 - u
 
 
+_WIDE = _disc(0.95)
+_SHORT_BAR = _box(0.8, 0.2)
 SHAPES: dict[str, Shape] = {
     "disc": Shape(_disc(0.75), 0),
-    "ring": Shape(_without(_disc(0.95), _disc(0.55)), 0),
+    "ring": Shape(_without(_WIDE, _disc(0.55)), 0),
     "bar": Shape(_box(1.0, 0.25), 2),
     "square": Shape(_box(0.68, 0.68), 4),
     "frame": Shape(_without(_box(0.8, 0.8), _box(0.45, 0.45)), 4),
     "triangle": Shape(_triangle, 3),
     "cross": Shape(_union(_box(0.95, 0.2), _box(0.2, 0.95)), 4),
-    "tee": Shape(_union(_box(0.2, 0.9, -0.6), _box(0.8, 0.2)), 1),
+    "tee": Shape(_union(_box(0.2, 0.9, -0.6), _SHORT_BAR), 1),
     "ell": Shape(_union(_box(0.2, 0.8, -0.6), _box(0.8, 0.2, 0.0, -0.6)), 1),
-    "crescent": Shape(
-        _without(_disc(0.95), _union(_disc(0.5), lambda u, v: -_half(u, v))), 1
-    ),
+    "crescent": Shape(_without(_WIDE, _union(_disc(0.5), _beyond_half)), 1),
     "two pads": Shape(_pads(2), 2),
     "three pads": Shape(_pads(3), 3),
 }
@@ -117,7 +134,8 @@ def draw(count: int, seed: int) -> Presses:
 
     frames = np.empty((count, SIDE, SIDE), dtype=np.float32)
     for k, label in enumerate(labels):
-        truth = _forces(SHAPES[NAMES[label]], angles[k], places[k], rng)
+        shape = SHAPES[NAMES[label]]
+        truth = _forces(shape, angles[k], places[k], rng)
         frames[k] = noise.apply(truth, rng)
     return Presses(frames, labels, angles, places)
 
@@ -126,9 +144,10 @@ def draw_forces(count: int, rng: np.random.Generator) -> Floats:
     """True forces of drawn presses, float32 (count, SIDE, SIDE), the largest of each 1 N."""
     forces = np.empty((count, SIDE, SIDE), dtype=np.float32)
     for k in range(count):
+        shape = SHAPES[NAMES[k % len(NAMES)]]
         place = (SIDE - 1) / 2 + rng.uniform(-REACH, REACH, 2)
         angle = rng.uniform(0, 2 * math.pi)
-        forces[k] = _forces(SHAPES[NAMES[k % len(NAMES)]], angle, place, rng)
+        forces[k] = _forces(shape, angle, place, rng)
         forces[k] /= forces[k].max()
     return forces
 
@@ -139,16 +158,20 @@ def _forces(
     """True forces of a press, float32 (SIDE, SIDE), newtons."""
     radius = rng.uniform(*RADII)
     peak = math.exp(rng.uniform(*np.log(PEAKS_N)))
-    slope = rng.uniform(-TILT, TILT, 2)
+    slope_along, slope_across = rng.uniform(-TILT, TILT, 2)
 
     # Coordinates of the taxels in the frame of the shape, in its radii.
     row, col = np.indices((SIDE, SIDE)) - place[:, None, None]
-    along = (math.cos(angle) * row + math.sin(angle) * col) / radius
-    across = (math.cos(angle) * col - math.sin(angle) * row) / radius
+    cos = math.cos(angle)
+    sin = math.sin(angle)
+    along = (cos * row + sin * col) / radius
+    across = (cos * col - sin * row) / radius
 
     # A taxel on the edge is covered in part; the skin is soft.
-    cover = np.clip(0.5 - radius * shape.distance(along, across), 0, 1)
-    level = 1 + slope[0] * along + slope[1] * across
-    soft = ndimage.gaussian_filter(cover * np.maximum(level, 0), BLUR)
+    from_edge = radius * shape.distance(along, across)
+    cover = np.clip(0.5 - from_edge, 0, 1)
+    level = 1 + slope_along * along + slope_across * across
+    pressure = cover * np.maximum(level, 0)
+    soft = ndimage.gaussian_filter(pressure, BLUR)
     forces: Floats = (peak * soft / soft.max()).astype(np.float32)
     return forces

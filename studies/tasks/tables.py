@@ -33,7 +33,12 @@ QUICK_TRAIN = 360
 QUICK_TEST = 120
 N_SEEDS = 3
 SHAPE_TASK = "shapes"
-PLACES_IN_PALETTE = {FORCES: 1, SUMS: 0, LARGER: 2, SINGLE: 3}
+PLACES_IN_PALETTE = {
+    FORCES: 1,
+    SUMS: 0,
+    LARGER: 2,
+    SINGLE: 3,
+}
 CAPTION = (
     "Share of the test that is recognised over the bytes of a frame: up and to the left is better. "
     "Along each line M is N/64, N/32, N/16, N/8, N/3 (quick: N/64, N/8)"
@@ -62,9 +67,15 @@ def run(
         of_data = pd.DataFrame(compute_rows(of_frames, asked, out, executor, "set"))
         rows = pd.concat([rows, of_data.drop(columns=list(of_set))])
 
-    means = rows.groupby(["task", "way", "ratio"], sort=False).mean(numeric_only=True)
+    # The mean over the seeds.
+    groups = rows.groupby(["task", "way", "ratio"], sort=False)
+    means = groups.mean(numeric_only=True)
     means = means.drop(columns="seed").reset_index()
-    opening = {"value_bytes": VALUE_BYTES, "n_seeds": n_seeds, "searched": SEARCHED}
+    opening = {
+        "value_bytes": VALUE_BYTES,
+        "n_seeds": n_seeds,
+        "searched": SEARCHED,
+    }
     page.section("", draw_chart(out, means), **opening)
     sizes = {
         "side": SIDE,
@@ -93,9 +104,18 @@ def points(
     """A point a way, ratio and seed; `of_set`: fields of a set of frames."""
     ratios = QUICK_RATIOS if quick else RATIOS
     compressed = [way for way in WAYS if way != ALL]
-    pairs = [(ALL, 1), *((way, ratio) for ratio in ratios for way in compressed)]
+    # All taxels have one ratio.
+    pairs = [(ALL, 1)]
+    for ratio in ratios:
+        pairs += [(way, ratio) for way in compressed]
     return [
-        {"way": way, "ratio": ratio, "seed": number, "quick": quick, **of_set}
+        {
+            "way": way,
+            "ratio": ratio,
+            "seed": number,
+            "quick": quick,
+            **of_set,
+        }
         for number in range(seed, seed + n_seeds)
         for way, ratio in pairs
     ]
@@ -115,27 +135,31 @@ def of_shapes(point: dict[str, Any]) -> dict[str, Any]:
     train = slice(n_train)
     test = slice(n_train, None)
 
-    orders = np.array([shape.symmetry for shape in SHAPES.values()])[presses.labels]
+    symmetries = np.array([shape.symmetry for shape in SHAPES.values()])
+    orders = symmetries[presses.labels]
     turned = orders * presses.angles
     middle = (SIDE - 1) / 2
 
     # An angle is a direction of as many turns as the shape looks the same; of a disc there is none.
     directions = np.stack([np.cos(turned), np.sin(turned)], axis=1)
     directions *= (orders > 0)[:, None]
-    figures = np.hstack([directions, (presses.places - middle) / SIDE])
-    model = Classifier().fit(inputs[train], presses.labels[train], figures[train])
+    offsets = (presses.places - middle) / SIDE
+    figures = np.hstack([directions, offsets])
+    model = Classifier()
+    model.fit(inputs[train], presses.labels[train], figures[train])
 
     shares, estimates = model.predict_all(inputs[test])
-    right = model.classes_[shares.argmax(axis=1)] == presses.labels[test]
+    labels = model.classes_[shares.argmax(axis=1)]
+    is_right = labels == presses.labels[test]
     places = middle + SIDE * estimates[:, 2:]
-    off = np.linalg.norm(places - presses.places[test], axis=1)
+    distances = np.linalg.norm(places - presses.places[test], axis=1)
     angles = _angle_errors(estimates[:, :2], turned[test], orders[test])
     return {
         "task": SHAPE_TASK,
         "n_bytes": n_bytes(SIDE * SIDE, point["ratio"]),
-        "accuracy": 100 * float(right.mean()),
+        "accuracy": 100 * float(is_right.mean()),
         "angle_deg": float(np.median(angles)),
-        "place_taxels": float(np.median(off)),
+        "place_taxels": float(np.median(distances)),
     }
 
 
@@ -146,9 +170,10 @@ def _angle_errors(
     true angle times the order of symmetry `orders`, (n,).
     """
     has_angle = orders > 0
-    difference = np.arctan2(directions[:, 1], directions[:, 0]) - turned
+    estimated = np.arctan2(directions[:, 1], directions[:, 0])
+    difference = (estimated - turned)[has_angle]
     # Of the angle times its order: a full turn of it is the smallest turn that changes nothing.
-    wrapped = np.abs(np.angle(np.exp(1j * difference[has_angle])))
+    wrapped = np.abs(np.angle(np.exp(1j * difference)))
     errors: Doubles = np.degrees(wrapped / orders[has_angle])
     return errors
 
@@ -163,21 +188,27 @@ def of_frames(point: dict[str, Any]) -> dict[str, Any]:
     data = _read(point["folder"], point["digest"])
     is_test = data.is_test(point["seed"])
     inputs = WAYS[point["way"]](data.frames, point["ratio"], point["seed"])
-    model = Classifier().fit(inputs[~is_test], data.labels[~is_test])
+    model = Classifier()
+    model.fit(inputs[~is_test], data.labels[~is_test])
     shares = model.predict_proba(inputs[is_test])
-    right = model.classes_[shares.argmax(axis=1)] == data.labels[is_test]
+    labels = model.classes_[shares.argmax(axis=1)]
+    is_right = labels == data.labels[is_test]
     return {
         "task": data.name,
         "n_bytes": n_bytes(data.frames[0].size, point["ratio"]),
-        "accuracy": 100 * float(right.mean()),
+        "accuracy": 100 * float(is_right.mean()),
     }
 
 
 def _digest(folder: Path) -> str:
     """Text that changes with the files of a folder: their names, and the content of the first."""
-    files = sorted(path for path in folder.rglob("*") if path.suffix in (".h5", ".npz"))
-    names = "".join(f"{path.name} {path.stat().st_size}\n" for path in files)
-    return f"{len(files)} {_hash_of(names)} {digest_of(files[0]) if files else ''}"
+    paths = folder.rglob("*")
+    files = sorted(path for path in paths if path.suffix in (".h5", ".npz"))
+    names = ""
+    for path in files:
+        names += f"{path.name} {path.stat().st_size}\n"
+    digest = digest_of(files[0]) if files else ""
+    return f"{len(files)} {_hash_of(names)} {digest}"
 
 
 def _hash_of(text: str) -> str:
@@ -198,12 +229,19 @@ def tables(means: pd.DataFrame, task: str) -> list[str]:
         if figure not in rows or rows[figure].isna().all():
             continue
         # A row a way, in the order of `WAYS`, and a column a ratio.
-        by_ratio = rows.pivot(index="way", columns="ratio", values=figure)
+        by_ratio = rows.pivot(
+            index="way",
+            columns="ratio",
+            values=figure,
+        )
         by_ratio = by_ratio.reindex([way for way in WAYS if way in by_ratio.index])
-        by_ratio.columns = ["N" if ratio == 1 else f"N/{ratio}" for ratio in by_ratio]
+        headings = {1: "N"}
+        by_ratio.columns = [headings.get(ratio, f"N/{ratio}") for ratio in by_ratio]
         by_ratio.insert(0, title, by_ratio.index)
+        # A place is known to a fraction of a taxel.
         digits = ".2f" if figure == "place_taxels" else ".1f"
-        texts.append(markdown(by_ratio, dict.fromkeys(by_ratio.columns[1:], digits)))
+        formats = dict.fromkeys(by_ratio.columns[1:], digits)
+        texts.append(markdown(by_ratio, formats))
     return texts
 
 
@@ -211,16 +249,17 @@ def conclusion(means: pd.DataFrame) -> list[str]:
     """Of each task: all taxels beside each way, at the most and the fewest bytes."""
     lines = []
     for task, rows in means.groupby("task", sort=False):
-        at = rows.set_index(["way", "ratio"])["accuracy"]
+        percent = rows.set_index(["way", "ratio"])["accuracy"]
         ratios = sorted(set(rows["ratio"]) - {1})
-        texts = [
-            f"{way} {' / '.join(f'{at[way, ratio]:.1f}' for ratio in ratios)}"
-            for way in WAYS
-            if way != ALL
-        ]
+        texts = []
+        for way in WAYS:
+            if way != ALL:
+                shares = [f"{percent[way, ratio]:.1f}" for ratio in ratios]
+                texts.append(f"{way} {' / '.join(shares)}")
         columns = " / ".join(f"N/{ratio}" for ratio in ratios)
         lines.append(
-            f"{task}: all taxels {at[ALL, 1]:.1f} % recognised; at {columns}: {'; '.join(texts)}."
+            f"{task}: all taxels {percent[ALL, 1]:.1f} % recognised; "
+            f"at {columns}: {'; '.join(texts)}."
         )
     return lines
 
@@ -230,7 +269,11 @@ def draw_chart(out: Path, means: pd.DataFrame) -> str:
     tasks: Sequence[str] = list(means["task"].unique())
     n = len(tasks)
     size_in = (5.4 * n + 1.2, 4.6)
-    layout: dict[str, Any] = {"size_in": size_in, "legend_columns": 3, "sharey": True}
+    layout: dict[str, Any] = {
+        "size_in": size_in,
+        "legend_columns": 3,
+        "sharey": True,
+    }
     with Chart(out, "accuracy_over_bytes", CAPTION, n, n, **layout) as chart:
         for axes, task in zip(chart.panels, tasks, strict=True):
             rows = means[means["task"] == task].sort_values("n_bytes")
@@ -245,8 +288,19 @@ def _draw_task(axes: Axes, rows: pd.DataFrame) -> None:
     full = rows[rows["way"] == ALL].iloc[0]
     star = (full["n_bytes"], full["accuracy"])
     black: dict[str, Any] = {"color": PALETTE[-1], "zorder": 1}
-    axes.axhline(full["accuracy"], linestyle="--", linewidth=1.0, **black)
-    axes.plot(*star, "*", label=ALL, markersize=11, **black)
+    axes.axhline(
+        full["accuracy"],
+        linestyle="--",
+        linewidth=1.0,
+        **black,
+    )
+    axes.plot(
+        *star,
+        "*",
+        label=ALL,
+        markersize=11,
+        **black,
+    )
     for way, place in PLACES_IN_PALETTE.items():
         along = rows[rows["way"] == way]
         style = series_style(place)

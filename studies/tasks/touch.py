@@ -6,6 +6,7 @@ one is there, by the statistic of the reconstructor. A raster is looked at after
 
 from __future__ import annotations
 
+import math
 from functools import lru_cache
 from pathlib import Path
 from statistics import NormalDist
@@ -64,19 +65,31 @@ def add(page: Page, quick: bool, seed: int, executor: str) -> list[str]:
     forces = QUICK_FORCES_N if quick else FORCES_N
     n_presses = QUICK_PRESSES if quick else N_PRESSES
     points = [
-        {"set": name, "force": force, "way": way, "n": n_presses, "seed": seed}
+        {
+            "set": name,
+            "force": force,
+            "way": way,
+            "n": n_presses,
+            "seed": seed,
+        }
         for name in SETS
         for force in forces
         for way in WAYS
     ]
-    rows = pd.DataFrame(
-        compute_rows(time_to_touch, points, page.out, executor, "touch")
-    )
+    times = compute_rows(time_to_touch, points, page.out, executor, "touch")
+    rows = pd.DataFrame(times)
     n_counted = QUICK_COUNTED if quick else N_COUNTED
-    counts = [{"ratio": 3, "n_frames": n_counted, "seed": seed}]
+    counts = [
+        {
+            "ratio": 3,
+            "n_frames": n_counted,
+            "seed": seed,
+        }
+    ]
     counted = compute_rows(false_touches, counts, page.out, executor, "false touches")
     false = pd.DataFrame(counted)
 
+    # Two tables a set: how fast, and how often not at all.
     tables = []
     for name, title in SETS.items():
         of_set = rows[rows["set"] == name]
@@ -89,11 +102,12 @@ def add(page: Page, quick: bool, seed: int, executor: str) -> list[str]:
         "n_counted": n_counted,
         "counted_side": COUNTED_SIDE,
     }
-    text = "; ".join(
-        f"{false[f'{chance:g}'].iloc[0]:.0f} where {chance * n_counted:g} are allowed"
-        for chance in CHANCES
-    )
-    line = f"False touches in {n_counted} untouched frames: {text}."
+    texts = []
+    for chance in CHANCES:
+        n_false = false[f"{chance:g}"].iloc[0]
+        n_allowed = chance * n_counted
+        texts.append(f"{n_false:.0f} where {n_allowed:g} are allowed")
+    line = f"False touches in {n_counted} untouched frames: {'; '.join(texts)}."
     page.section("First touch", _draw(page.out, rows), *tables, line, **values)
     page.csv("first_touch", rows)
     page.csv("false_touches", false)
@@ -102,7 +116,12 @@ def add(page: Page, quick: bool, seed: int, executor: str) -> list[str]:
 
 def _table(rows: pd.DataFrame, column: str, title: str, digits: str) -> str:
     """A row a way, a column a force; empty where more than half are missed."""
-    by_force = rows.pivot(index="way", columns="force", values=column).reindex(WAYS)
+    by_force = rows.pivot(
+        index="way",
+        columns="force",
+        values=column,
+    )
+    by_force = by_force.reindex(WAYS)
     by_force.columns = [f"{force:g} N" for force in by_force]
     by_force.insert(0, title, by_force.index)
     return markdown(by_force, dict.fromkeys(by_force.columns[1:], digits))
@@ -110,12 +129,16 @@ def _table(rows: pd.DataFrame, column: str, title: str, digits: str) -> str:
 
 def _conclusion(rows: pd.DataFrame) -> str:
     """The fastest of the measurements beside single taxels in both orders, by force, on pins."""
-    pins = rows[rows["set"] == "pins"].set_index(["way", "force"])["median_us"]
+    of_pins = rows[rows["set"] == "pins"]
+    median_us = of_pins.set_index(["way", "force"])["median_us"]
     texts = []
     for force in dict.fromkeys(rows["force"]):
-        measured = min((pins[way, force] for way in MEASURED), key=_or_last)
-        times = (measured, pins[RASTER, force], pins[SHUFFLED, force])
-        texts.append(f"{force:g} N " + " / ".join(_time_text(time) for time in times))
+        measured_us = [median_us[way, force] for way in MEASURED]
+        fastest_us = min(measured_us, key=_or_last)
+        times_us = [fastest_us]
+        times_us += [median_us[way, force] for way in (RASTER, SHUFFLED)]
+        columns = " / ".join(map(_time_text, times_us))
+        texts.append(f"{force:g} N {columns}")
     times_text = ", ".join(texts)
     return (
         f"First touch of a pin, the fastest y / {RASTER} / in random order, median us: "
@@ -123,12 +146,17 @@ def _conclusion(rows: pd.DataFrame) -> str:
     )
 
 
-def _or_last(time: float | None) -> float:
-    return float("inf") if time is None or time != time else time
+def _or_last(time_us: float | None) -> float:
+    """A time, infinite where there is none: None, or NaN in a table."""
+    if time_us is None or math.isnan(time_us):
+        return math.inf
+    return time_us
 
 
-def _time_text(time: float | None) -> str:
-    return "missed" if _or_last(time) == float("inf") else f"{time:.0f}"
+def _time_text(time_us: float | None) -> str:
+    if math.isinf(_or_last(time_us)):
+        return "missed"
+    return f"{time_us:.0f}"
 
 
 def _draw(out: Path, rows: pd.DataFrame) -> str:
@@ -141,7 +169,11 @@ def _draw(out: Path, rows: pd.DataFrame) -> str:
                 along = of_set[of_set["way"] == way].sort_values("force")
                 times = along["median_us"].astype(float)
                 axes.plot(along["force"], times, label=way, **series_style(k))
-            axes.set(xscale="log", yscale="log", title=title)
+            axes.set(
+                xscale="log",
+                yscale="log",
+                title=title,
+            )
             forces = sorted(set(rows["force"]))
             axes.set_xticks(forces, [f"{force:g}" for force in forces])
             axes.minorticks_off()
@@ -157,11 +189,13 @@ def _presses(point: dict[str, Any], rng: np.random.Generator) -> Floats:
         forces = draw_forces(n, rng)
     else:
         rows, cols = np.indices((SIDE, SIDE))
-        places = rng.uniform(2, SIDE - 3, (2, n, 1, 1))
+        centre_rows, centre_cols = rng.uniform(2, SIDE - 3, (2, n, 1, 1))
         radii = rng.uniform(*PIN_RADII, (n, 1, 1))
-        distances = np.hypot(rows - places[0], cols - places[1])
+        distances = np.hypot(rows - centre_rows, cols - centre_cols)
+        # A round tip, which half of a taxel more feels.
         caps = np.clip(1 - np.square(distances / (radii + 0.5)), 0, 1)
-        forces = (caps / caps.max(axis=(1, 2), keepdims=True)).astype(np.float32)
+        peaks = caps.max(axis=(1, 2), keepdims=True)
+        forces = (caps / peaks).astype(np.float32)
     return np.float32(point["force"]) * forces.reshape(n, -1)
 
 
@@ -179,10 +213,10 @@ def time_to_touch(point: dict[str, Any]) -> dict[str, Any]:
         times = _by_taxels(truth, point["way"], rng)
     missed = times > LIMIT
     median = float(np.median(times))
-    return {
-        "median_us": CONVERSION_US * median if median <= LIMIT else None,
-        "missed": 100 * float(missed.mean()),
-    }
+    median_us = None
+    if median <= LIMIT:
+        median_us = CONVERSION_US * median
+    return {"median_us": median_us, "missed": 100 * float(missed.mean())}
 
 
 @lru_cache(maxsize=len(RATIOS))
@@ -190,8 +224,10 @@ def _test(ratio: int) -> tuple[list[Phi], TouchTest]:
     """Row subsets, and the test of their measurements."""
     n = SIDE * SIDE
     m = m_of(n, ratio, "rotating")
-    phis = row_subsets(make_phi("sbhe", n, m, seed=0), "rotating")
-    return phis, TouchTest(noisy_skin(SIDE), phis, PER_CONVERSION * m)
+    phi = make_phi("sbhe", n, m, seed=0)
+    phis = row_subsets(phi, "rotating")
+    test = TouchTest(noisy_skin(SIDE), phis, PER_CONVERSION * m)
+    return phis, test
 
 
 def _by_measurements(truth: Floats, ratio: int, rng: np.random.Generator) -> Indices:
@@ -208,15 +244,25 @@ def _by_measurements(truth: Floats, ratio: int, rng: np.random.Generator) -> Ind
         subset = frame % len(phis)
         y = _measured(phis[subset], truth, begins - frame * m, rng)
         difference = y - test.expected[subset]
-        scores = test.departures.scores(difference, subset)
-        alarms = windows.alarms(
-            scores, test.bounds.squares, np.zeros(n_presses), one_sided=True
-        )
-        alarms |= test.departures.energy(difference, test.bounds) > test.bounds.energy
+        alarms = _alarms(test, windows, difference, subset)
+        # A frame is looked at once its last measurement is there.
         _note(times, alarms, (frame + 1) * m - begins)
         if (times <= LIMIT).all():
             break
     return times
+
+
+def _alarms(test: TouchTest, windows: Windows, difference: Floats, subset: int) -> Mask:
+    """Frames that show a touch, bool (n,), by what their measurements differ from an untouched
+    skin, float32 (n, m), as the reconstructor looks at them.
+    """
+    scores = test.departures.scores(difference, subset)
+    quiet = np.zeros(len(difference))
+    limits = test.bounds.squares
+    alarms = windows.alarms(scores, limits, quiet, one_sided=True)
+    energy = test.departures.energy(difference, test.bounds)
+    alarms |= energy > test.bounds.energy
+    return alarms
 
 
 def _measured(
@@ -228,15 +274,20 @@ def _measured(
     if (begins <= 0).all():
         return pressed
     untouched = phi.forward(noise.apply(np.zeros_like(truth), rng))
-    return np.where(np.arange(phi.m) < begins[:, np.newaxis], untouched, pressed)
+    is_before = np.arange(phi.m) < begins[:, np.newaxis]
+    return np.where(is_before, untouched, pressed)
 
 
 def _by_taxels(truth: Floats, way: str, rng: np.random.Generator) -> Indices:
     """As `_by_measurements`, of single taxels that are read in turn."""
     n_presses, n = truth.shape
     order = rng.permutation(n) if way == SHUFFLED else np.arange(n)
-    chance = PER_CONVERSION / (2 if way == WITH_SQUARES else 1)
-    limit = -NormalDist().inv_cdf(chance) * NoiseModel().sigma_end
+    chance = PER_CONVERSION
+    if way == WITH_SQUARES:
+        # Two tests share the false touches.
+        chance = PER_CONVERSION / 2
+    deviations = -NormalDist().inv_cdf(chance)
+    limit = deviations * NoiseModel().sigma_end
     scans = None
     if way == WITH_SQUARES:
         scans = Departures(noisy_skin(SIDE), chance * n, n_windows=2, one_sided=True)
@@ -251,16 +302,20 @@ def _by_taxels(truth: Floats, way: str, rng: np.random.Generator) -> Indices:
     for scan in range(4 + LIMIT // n + 1):
         is_pressed = place >= begins[:, np.newaxis] - scan * n
         # Of the taxels in their order of reading.
-        readings = NoiseModel().apply(np.where(is_pressed, truth[:, order], 0), rng)
+        forces = np.where(is_pressed, truth[:, order], 0)
+        readings = NoiseModel().apply(forces, rng)
         exceeds = is_pressed & (readings > limit)
+        # The first taxel of the scan that exceeds the limit; n: none does.
         index = np.where(exceeds.any(axis=1), exceeds.argmax(axis=1), n)
         _note(times, index < n, scan * n + index + 1 - begins)
-        if scans is not None:
-            grids = (readings - expected).reshape(-1, SIDE, SIDE)
-            alarms = windows.alarms(
-                scans.scores(grids), bounds.squares, np.zeros(n_presses), one_sided=True
-            )
-            _note(times, alarms, (scan + 1) * n - begins)
+        if scans is None:
+            continue
+
+        grids = (readings - expected).reshape(-1, SIDE, SIDE)
+        scores = scans.scores(grids)
+        quiet = np.zeros(n_presses)
+        alarms = windows.alarms(scores, bounds.squares, quiet, one_sided=True)
+        _note(times, alarms, (scan + 1) * n - begins)
     return times
 
 
@@ -279,20 +334,21 @@ def false_touches(point: dict[str, Any]) -> dict[str, Any]:
     n = COUNTED_SIDE**2
     skin = noisy_skin(COUNTED_SIDE)
     m = m_of(n, point["ratio"], "rotating")
-    phis = row_subsets(make_phi("sbhe", n, m, seed=0), "rotating")
+    phi = make_phi("sbhe", n, m, seed=0)
+    phis = row_subsets(phi, "rotating")
     tests = [TouchTest(skin, phis, chance) for chance in CHANCES]
     windows = [test.windows(BATCH) for test in tests]
     counts = np.zeros(len(CHANCES), dtype=np.int64)
     noise = NoiseModel()
+    untouched = np.zeros((BATCH, n), dtype=np.float32)
     for frame in range(point["n_frames"] // BATCH):
         subset = frame % len(phis)
-        readings = noise.apply(np.zeros((BATCH, n), dtype=np.float32), rng)
-        difference = phis[subset].forward(readings) - tests[0].expected[subset]
-        scores = tests[0].departures.scores(difference, subset)
+        readings = noise.apply(untouched, rng)
+        y = phis[subset].forward(readings)
+        # What is expected of an untouched skin does not depend on the chance.
+        difference = y - tests[0].expected[subset]
         for k, test in enumerate(tests):
-            limits = test.bounds.squares
-            alarms = windows[k].alarms(scores, limits, np.zeros(BATCH), one_sided=True)
-            energy = test.departures.energy(difference, test.bounds)
-            alarms |= energy > test.bounds.energy
+            alarms = _alarms(test, windows[k], difference, subset)
             counts[k] += np.count_nonzero(alarms)
-    return {f"{chance:g}": int(n) for chance, n in zip(CHANCES, counts, strict=True)}
+    names = [f"{chance:g}" for chance in CHANCES]
+    return dict(zip(names, counts.tolist(), strict=True))

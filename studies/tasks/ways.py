@@ -23,7 +23,8 @@ LARGER = "sums of neighbours"
 def _method(frames: Floats, ratio: int, seed: int) -> Method:
     """Fixed scrambled sums and the default solver; the range is the largest reading."""
     shape = (frames.shape[1], frames.shape[2])
-    return make_method(PRESETS["skin"], shape, ratio, seed, f_max_n=float(frames.max()))
+    f_max = float(frames.max())
+    return make_method(PRESETS["skin"], shape, ratio, seed, f_max_n=f_max)
 
 
 def _all(frames: Floats, ratio: int, seed: int) -> Floats:
@@ -35,8 +36,10 @@ def _forces(frames: Floats, ratio: int, seed: int) -> Floats:
     method = _method(frames, ratio, seed)
     forces = np.empty((len(frames), frames[0].size), dtype=np.float32)
     for k, frame in enumerate(frames):
+        # A classifier gets frames in any order: nothing is carried between them.
         method.reset()
-        forces[k] = method.reconstruct(frame).forces.reshape(-1)
+        solved = method.reconstruct(frame)
+        forces[k] = solved.forces.reshape(-1)
     return forces
 
 

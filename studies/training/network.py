@@ -55,17 +55,19 @@ def first_network(seed: int) -> Network:
     haar = np.zeros((TILE * TILE, WINDOW, WINDOW))
     tiles = haar[:, MARGIN:-MARGIN, MARGIN:-MARGIN]
     tiles[:] = analysis.T.reshape(tiles.shape)
-    n_more = N_FILTERS - TILE * TILE
-    rows = np.concatenate([haar.reshape(len(haar), -1), cosines(WINDOW)[:n_more]])
+    n_cosines = N_FILTERS - TILE * TILE
+    haar_rows = haar.reshape(len(haar), -1)
+    rows = np.concatenate([haar_rows, cosines(WINDOW)[:n_cosines]])
     filters = torch.tensor(rows, dtype=torch.float32)
     tile = torch.tensor(analysis, dtype=torch.float32)
+    # The scale of a layer is that of its number of inputs: outputs are about 1.
     network = {
         "filters": filters + draw(N_FILTERS, WINDOW**2, scale=0.01),
         "hidden": draw(N_HIDDEN, 2 * N_FILTERS, scale=(2 * N_FILTERS) ** -0.5),
         "hidden_0": torch.zeros(N_HIDDEN),
         "gates": draw(N_FILTERS + 1, N_HIDDEN, scale=0.5 * N_HIDDEN**-0.5),
         "gates_0": torch.full((N_FILTERS + 1,), 0.4),
-        "synthesis": torch.cat([tile, draw(TILE * TILE, n_more, scale=0.01)], dim=1),
+        "synthesis": torch.cat([tile, draw(TILE * TILE, n_cosines, scale=0.01)], dim=1),
         "error": draw(1, N_HIDDEN, scale=0.1 * N_HIDDEN**-0.5),
         "error_0": torch.full((1,), -2.0),
     }
@@ -75,9 +77,11 @@ def first_network(seed: int) -> Network:
 def cosines(side: int) -> Doubles:
     """Return two-dimensional cosines by frequency, float64 (side^2, side^2), orthonormal rows."""
     k = np.arange(side)
-    one_way = np.sqrt(2 / side) * np.cos(np.pi * (k + 0.5) * k[:, None] / side)
+    phases = np.pi * (k + 0.5) * k[:, None] / side
+    one_way = np.sqrt(2 / side) * np.cos(phases)
     one_way[0] /= math.sqrt(2)
-    order = np.argsort(np.add.outer(k, k).reshape(-1), kind="stable")
+    frequencies = np.add.outer(k, k).reshape(-1)
+    order = np.argsort(frequencies, kind="stable")
     products: Doubles = np.kron(one_way, one_way)[order]
     return products
 
@@ -92,11 +96,15 @@ def gated(network: Network, windows: Tensor) -> tuple[Tensor, Tensor]:
     a = windows @ network["filters"].T
     size = 4 * ((1 + a.abs()).sqrt().sqrt() - 1)
     levels = torch.cat([torch.copysign(size, a), size], dim=-1)
-    h = (levels @ network["hidden"].T + network["hidden_0"]).clip(0, None)
-    g = (h @ network["gates"].T + network["gates_0"]).clip(0, 1)
+    h = levels @ network["hidden"].T + network["hidden_0"]
+    h = h.clip(0, None)
+    g = h @ network["gates"].T + network["gates_0"]
+    g = g.clip(0, 1)
 
+    # The last gate passes the tile as it is.
     passed = g[:, -1:]
-    filtered = (a * (g[:, :-1] - passed)) @ network["synthesis"].T
+    gains = g[:, :-1] - passed
+    filtered = (a * gains) @ network["synthesis"].T
     tiles = passed * inner(windows) + filtered
     log_error = h @ network["error"][0] + network["error_0"]
     return tiles.clip(0, None), log_error.clip(-12, 0).exp()
@@ -112,14 +120,21 @@ def denoise(
     row, col = SHIFTS[shift % len(SHIFTS)]
     sides = (col, TILE - col, row, TILE - row)
     outer = tuple(side + MARGIN for side in sides)
-    canvas = functional.pad(u / s[:, None, None] * mask, outer)
-    windows = canvas.unfold(1, WINDOW, TILE).unfold(2, WINDOW, TILE)
+    # In units of the noise, with a margin that windows at the edges see as 0.
+    of_unit_noise = u / s[:, None, None] * mask
+    canvas = functional.pad(of_unit_noise, outer)
+    windows = canvas.unfold(1, WINDOW, TILE)
+    windows = windows.unfold(2, WINDOW, TILE)
     k, down = windows.shape[:2]
     windows = windows.reshape(-1, WINDOW * WINDOW)
     tiles, error = gated(network, windows)
+
     # Rows of taxels run across tiles that are next to each other.
-    x = tiles.reshape(k, down, -1, TILE, TILE).transpose(2, 3)
-    x = x.reshape(k, down * TILE, -1)[:, row : row + SIDE, col : col + SIDE]
+    x = tiles.reshape(k, down, -1, TILE, TILE)
+    x = x.transpose(2, 3).reshape(k, down * TILE, -1)
+    x = x[:, row : row + SIDE, col : col + SIDE]
+
+    # A tile counts by the part of it that exists.
     padded = functional.pad(mask, sides)[:, None]
     share = functional.avg_pool2d(padded, TILE).reshape(k, -1)
     mean_error = (error.reshape(k, -1) * share).sum(1) / share.sum(1)
@@ -138,8 +153,12 @@ class Drawn:
         """Presses (size, N_FRAMES, SIDE, SIDE), mirrored or transposed, and their masks."""
         places = torch.randint(len(self._pool), (size,), generator=self._generator)
         drawn = self._pool[places]
+        # One of the eight symmetries of a square.
         turn = int(self._rng.integers(8))
-        drawn = drawn.flip([axis for bit, axis in ((1, -1), (2, -2)) if turn & bit])
+        if turn & 1:
+            drawn = drawn.flip(-1)
+        if turn & 2:
+            drawn = drawn.flip(-2)
         if turn & 4:
             drawn = drawn.transpose(-1, -2)
         mask = torch.tensor(masks(self._rng, size))
@@ -174,9 +193,11 @@ class Drawn:
 
     def _errors(self, network: Any, x: Any, s: Any, mask: Any) -> tuple[Any, Any]:
         """Squared error of a taxel of each frame, and the expected one, in s^2."""
-        u = x + s[:, None, None] * torch.randn(x.shape, generator=self._generator)
-        estimate, error = denoise(network, u, s, mask, int(self._rng.integers(64)))
-        return (estimate - x).square().sum((1, 2)) / mask.sum((1, 2)) / s**2, error
+        noise = s[:, None, None] * torch.randn(x.shape, generator=self._generator)
+        shift = int(self._rng.integers(64))
+        estimate, error = denoise(network, x + noise, s, mask, shift)
+        squares = (estimate - x).square().sum((1, 2))
+        return squares / mask.sum((1, 2)) / s**2, error
 
 
 def trained(

@@ -19,6 +19,8 @@ SIDE = 32
 """Rows and columns of a frame."""
 N_FRAMES = 3
 """Successive frames of a press, in which it moves, turns, grows or fades."""
+FIELD_MARGIN = 4
+"""Taxels beyond the edges of a frame from which a dense pressure moves in."""
 LEAST = 0.02
 """Largest force of a press of unit strength that passes beside the frame, and is drawn anew."""
 
@@ -40,12 +42,13 @@ def masks(rng: np.random.Generator, count: int) -> Floats:
     is_taxel = np.ones((count, SIDE, SIDE), dtype=np.float32)
     row, col = np.mgrid[:SIDE, :SIDE] + 0.5
     for k in np.flatnonzero(rng.random(count) < 0.2):
-        c = rng.uniform(8, 24, 2)
-        a = rng.uniform(4, 20, 2)
+        # A superellipse: of power 2 an ellipse, of power 64 a rectangle.
+        centre_row, centre_col = rng.uniform(8, 24, 2)
+        half_height, half_width = rng.uniform(4, 20, 2)
         power = rng.choice([2.0, 4.0, 64.0])
-        down = np.abs((row - c[0]) / a[0]) ** power
-        across = np.abs((col - c[1]) / a[1]) ** power
-        is_taxel[k] = down + across < 1
+        down = np.abs((row - centre_row) / half_height)
+        across = np.abs((col - centre_col) / half_width)
+        is_taxel[k] = down**power + across**power < 1
     return is_taxel
 
 
@@ -60,28 +63,42 @@ def press(rng: np.random.Generator) -> Floats:
 
 def _drawn(rng: np.random.Generator) -> Doubles:
     kind = rng.random()
-    if kind < 0.16:
-        forces = smooth_field(rng)
-    else:
-        forces = np.zeros((N_FRAMES, SIDE, SIDE))
-        for _ in range(1 + rng.poisson(0.7)):
-            body = bodies(rng) * math.exp(rng.normal(0, 0.5))
-            forces = np.maximum(forces, body) if rng.random() < 0.5 else forces + body
-        if kind < 0.24:
-            forces += smooth_field(rng) * rng.uniform(0.02, 0.5)
-        if kind > 0.97:
-            forces += rng.uniform(0.02, 0.3)
+    forces = smooth_field(rng) if kind < 0.16 else _drawn_bodies(rng, kind)
+
+    # The surface is rough, some taxels stick out, and the force grows or fades.
     if rng.random() < 0.25:
         noise = rng.standard_normal((SIDE, SIDE))
         grain = ndimage.gaussian_filter(noise, rng.uniform(0, 1.5))
-        rough = 1 + rng.uniform(0.05, 0.5) * grain / grain.std()
+        depth = rng.uniform(0.05, 0.5)
+        rough = 1 + depth * grain / grain.std()
         forces = forces * np.maximum(0, rough)
     if rng.random() < 0.1:
-        single = rng.random((SIDE, SIDE)) < rng.uniform(0.001, 0.02)
-        forces = forces + single * rng.uniform(0.1, 1.0, (SIDE, SIDE)) * forces.max()
+        draws = rng.random((SIDE, SIDE))
+        is_single = draws < rng.uniform(0.001, 0.02)
+        heights = is_single * rng.uniform(0.1, 1.0, (SIDE, SIDE))
+        forces = forces + heights * forces.max()
     if rng.random() < 0.3:
-        steps = np.linspace(-1, 1, N_FRAMES)[:, None, None]
-        forces = forces * np.exp(rng.normal(0, 0.15) * steps)
+        steps = np.linspace(-1, 1, N_FRAMES)
+        growth = np.exp(rng.normal(0, 0.15) * steps)
+        forces = forces * growth[:, None, None]
+    return forces
+
+
+def _drawn_bodies(rng: np.random.Generator, kind: float) -> Doubles:
+    """Bodies that lie on each other or beside each other; by kind on a dense or an even load."""
+    forces = np.zeros((N_FRAMES, SIDE, SIDE))
+    n_bodies = 1 + rng.poisson(0.7)
+    for _ in range(n_bodies):
+        body = bodies(rng)
+        body *= math.exp(rng.normal(0, 0.5))
+        on_others = forces + body
+        beside_others = np.maximum(forces, body)
+        forces = beside_others if rng.random() < 0.5 else on_others
+    if kind < 0.24:
+        field = smooth_field(rng)
+        forces += field * rng.uniform(0.02, 0.5)
+    if kind > 0.97:
+        forces += rng.uniform(0.02, 0.3)
     return forces
 
 
@@ -90,30 +107,47 @@ def bodies(rng: np.random.Generator) -> Doubles:
     shape = shapes(rng)
     centre = rng.uniform(-4, SIDE + 4, 2)
     angle = rng.uniform(0, 2 * math.pi)
-    speed = rng.normal(0, 1, 2) * rng.choice([0.0, 0.05, 0.3, 1.0])
-    turn = rng.normal(0, 0.02) * (rng.random() < 0.3)
-    tilt = rng.normal(0, 0.03, 2) * (rng.random() < 0.4)
-    edge = math.exp(rng.uniform(math.log(0.08), math.log(2.5)))
+    direction = rng.normal(0, 1, 2)
+    speed = direction * rng.choice([0.0, 0.05, 0.3, 1.0])
+    turn = rng.normal(0, 0.02)
+    turn *= rng.random() < 0.3
+    slope_down, slope_across = rng.normal(0, 0.03, 2) * (rng.random() < 0.4)
+    edge = _log_uniform(rng, 0.08, 2.5)
+
     pressures = np.empty((N_FRAMES, SIDE, SIDE))
+    middles = np.arange(SIDE) + 0.5
     for t in range(N_FRAMES):
-        place = centre + t * speed
-        row = (np.arange(SIDE) + 0.5 - place[0])[:, None]
-        col = np.arange(SIDE) + 0.5 - place[1]
-        phi = angle + t * turn
-        along = math.cos(phi) * row + math.sin(phi) * col
-        across = -math.sin(phi) * row + math.cos(phi) * col
+        centre_row, centre_col = centre + t * speed
+        row = (middles - centre_row)[:, None]
+        col = middles - centre_col
+
+        # In the frame of the body, which has turned.
+        cos = math.cos(angle + t * turn)
+        sin = math.sin(angle + t * turn)
+        along = cos * row + sin * col
+        across = -sin * row + cos * col
         pressure: Any = shape(along, across)
         # A blur of less than a tenth of a taxel changes nothing.
         if edge >= 0.2:
             pressure = ndimage.gaussian_filter(pressure, edge * 0.5)
-        pressures[t] = pressure * np.clip(1 + tilt[0] * row + tilt[1] * col, 0, 3)
+
+        tilt = 1 + slope_down * row + slope_across * col
+        pressures[t] = pressure * np.clip(tilt, 0, 3)
     return np.maximum(pressures, 0)
+
+
+def _log_uniform(rng: np.random.Generator, low: float, high: float) -> float:
+    """Draw a size of any order of magnitude in a range."""
+    exponent = rng.uniform(math.log(low), math.log(high))
+    return math.exp(exponent)
 
 
 def shapes(rng: np.random.Generator) -> Shape:
     """Draw a shape: its pressure by coordinates along and across, in taxels, from its centre."""
     a, b = np.exp(rng.uniform(math.log(0.8), math.log(12.0), 2))
-    return _KINDS[rng.integers(len(_KINDS))](rng, a, b)
+    number = rng.integers(len(_KINDS))
+    kind = _KINDS[number]
+    return kind(rng, a, b)
 
 
 def _box(rng: np.random.Generator, a: float, b: float) -> Shape:
@@ -121,7 +155,10 @@ def _box(rng: np.random.Generator, a: float, b: float) -> Shape:
     power = rng.choice([2.0, 4.0, 16.0])
 
     def box(x: Doubles, y: Doubles) -> Doubles:
-        return _inside(1 - (np.abs(x / a) ** power + np.abs(y / b) ** power), a, b)
+        level = np.abs(x / a) ** power + np.abs(y / b) ** power
+        # Near the edge, the level falls by 1 over about half of the smaller size.
+        depth = (1 - level) * min(a, b) / 2
+        return _step(depth)
 
     return box
 
@@ -130,8 +167,11 @@ def _frame(rng: np.random.Generator, a: float, b: float) -> Shape:
     wall = rng.uniform(0.6, 3.0)
 
     def frame(x: Doubles, y: Doubles) -> Doubles:
-        outer = np.maximum(np.abs(x) - a - wall, np.abs(y) - b - wall)
-        inner = np.maximum(np.abs(x) - a, np.abs(y) - b)
+        x_beyond = np.abs(x) - a
+        y_beyond = np.abs(y) - b
+        # Signed distances from both edges of the wall, inside below 0.
+        outer = np.maximum(x_beyond - wall, y_beyond - wall)
+        inner = np.maximum(x_beyond, y_beyond)
         return _step(-np.maximum(outer, -inner))
 
     return frame
@@ -139,12 +179,24 @@ def _frame(rng: np.random.Generator, a: float, b: float) -> Shape:
 
 def _fingertip(rng: np.random.Generator, a: float, b: float) -> Shape:
     """Pressure under an ellipsoid, by Hertz."""
-    return lambda x, y: np.sqrt(np.maximum(0, 1 - (x / a) ** 2 - (y / b) ** 2))
+
+    def fingertip(x: Doubles, y: Doubles) -> Doubles:
+        depth = 1 - (x / a) ** 2 - (y / b) ** 2
+        pressure: Doubles = np.sqrt(np.maximum(0, depth))
+        return pressure
+
+    return fingertip
 
 
 def _pad(rng: np.random.Generator, a: float, b: float) -> Shape:
     """A soft pad."""
-    return lambda x, y: np.exp(-((x / a) ** 2) - (y / b) ** 2)
+    return lambda x, y: _bell(x / a, y / b)
+
+
+def _bell(x: Doubles, y: Doubles) -> Doubles:
+    """A Gaussian of x and y, 1 at its centre."""
+    pressure: Doubles = np.exp(-(x**2) - y**2)
+    return pressure
 
 
 def _tool(rng: np.random.Generator, a: float, b: float) -> Shape:
@@ -152,14 +204,18 @@ def _tool(rng: np.random.Generator, a: float, b: float) -> Shape:
     shaft = rng.uniform(0.6, 2.0)
     head = rng.uniform(1.5, 5.0)
     gap = rng.uniform(0, 0.8) * head
-    ends = (1.0, -1.0) if rng.random() < 0.5 else (1.0,)
+    has_two_heads = rng.random() < 0.5
+    reach = a + b
+    ends = (reach, -reach) if has_two_heads else (reach,)
 
     def tool(x: Doubles, y: Doubles) -> Doubles:
-        inside = np.maximum(np.abs(x) - a - b, np.abs(y) - shaft)
+        # Signed distance from the edge of the shaft, then of the union with rings.
+        distance = np.maximum(np.abs(x) - a - b, np.abs(y) - shaft)
         for end in ends:
-            r = np.hypot(x - end * (a + b), y)
-            inside = np.minimum(inside, np.maximum(r - head, gap - r))
-        return _step(-inside)
+            r = np.hypot(x - end, y)
+            of_head = np.maximum(r - head, gap - r)
+            distance = np.minimum(distance, of_head)
+        return _step(-distance)
 
     return tool
 
@@ -171,13 +227,15 @@ def _foot(rng: np.random.Generator, a: float, b: float) -> Shape:
     bridge = rng.uniform(0, 0.4)
 
     def foot(x: Doubles, y: Doubles) -> Doubles:
-        f = np.exp(-(((x + 9) / 4) ** 2) - (y / 3.4) ** 2)
-        f = f + ball * np.exp(-(((x - 5) / 3) ** 2) - (y / 4.5) ** 2)
-        f = f + bridge * np.exp(-((x / 8) ** 2) - ((y - 2) / 2) ** 2)
+        pressure = _bell((x + 9) / 4, y / 3.4)
+        pressure = pressure + ball * _bell((x - 5) / 3, y / 4.5)
+        pressure = pressure + bridge * _bell(x / 8, (y - 2) / 2)
         for k, level in enumerate(toes):
             squares = (x - 11) ** 2 + (y - 3 * k + 4.5) ** 2
-            f = f + max(0.0, level) * np.exp(-squares / 2)
-        return f - 0.05
+            toe = np.exp(-squares / 2)
+            pressure = pressure + max(0.0, level) * toe
+        # Below this the skin feels nothing.
+        return pressure - 0.05
 
     return foot
 
@@ -194,8 +252,9 @@ def _ripples(rng: np.random.Generator, a: float, b: float) -> Shape:
     phase = rng.uniform(0, 2 * math.pi)
 
     def ripples(x: Doubles, y: Doubles) -> Doubles:
-        wavy = 0.6 + 0.4 * np.sin(2 * math.pi * x / wave + phase)
-        return wavy * np.exp(-((x / (2 * a)) ** 2) - (y / (2 * b)) ** 2)
+        angle = 2 * math.pi * x / wave + phase
+        wavy = 0.6 + 0.4 * np.sin(angle)
+        return wavy * _bell(x / (2 * a), y / (2 * b))
 
     return ripples
 
@@ -208,30 +267,39 @@ def _step(depth: Doubles) -> Doubles:
     return np.clip(depth + 0.5, 0, 1)
 
 
-def _inside(level: Doubles, a: float, b: float) -> Doubles:
-    return np.clip(level * min(a, b) / 2 + 0.5, 0, 1)
-
-
 def smooth_field(rng: np.random.Generator) -> Doubles:
     """Draw a dense pressure, as of a bed, a seat or a sole, float64 (N_FRAMES, SIDE, SIDE)."""
-    scale = math.exp(rng.uniform(math.log(0.7), math.log(6.0)))
-    drift = rng.normal(0, 1, 2) * rng.choice([0.0, 0.1, 0.5])
-    noise: Any = rng.standard_normal((SIDE + 8, SIDE + 8))
-    field = ndimage.gaussian_filter(noise, scale, mode="wrap")
-    noise = rng.standard_normal(field.shape)
-    fine = ndimage.gaussian_filter(noise, scale / 3, mode="wrap")
-    field = field / field.std() + rng.uniform(0, 0.5) * fine / fine.std()
-    noise = rng.standard_normal(field.shape)
-    change = ndimage.gaussian_filter(noise, scale, mode="wrap")
+    scale = _log_uniform(rng, 0.7, 6.0)
+    direction = rng.normal(0, 1, 2)
+    drift = direction * rng.choice([0.0, 0.1, 0.5])
+
+    # A coarse field with a finer one on it, and how it changes from frame to frame.
+    coarse = _smooth_noise(rng, scale)
+    fine = _smooth_noise(rng, scale / 3)
+    part = rng.uniform(0, 0.5)
+    field = coarse / coarse.std() + part * fine / fine.std()
+    change = _smooth_noise(rng, scale)
     change *= rng.choice([0.0, 0.03, 0.2]) / change.std()
     level = rng.uniform(-1.0, 1.2)
+
     shifted = np.empty((N_FRAMES, SIDE, SIDE))
     for t in range(N_FRAMES):
-        moved = ndimage.shift(field + t * change, t * drift, order=1, mode="nearest")
-        # The margin of 4 taxels has moved in from beyond the edge.
-        shifted[t] = moved[4:-4, 4:-4]
+        changed = field + t * change
+        moved = ndimage.shift(changed, t * drift, order=1, mode="nearest")
+        # What is within the margin may have moved in from beyond the edge.
+        shifted[t] = moved[FIELD_MARGIN:-FIELD_MARGIN, FIELD_MARGIN:-FIELD_MARGIN]
+
     raised = np.maximum(0, shifted + level)
     if rng.random() < 0.7:
-        bent: Doubles = raised ** rng.choice([1.0, 1.0, 1.5, 2.0])
+        power = rng.choice([1.0, 1.0, 1.5, 2.0])
+        bent: Doubles = raised**power
         return bent
     return np.exp(shifted)
+
+
+def _smooth_noise(rng: np.random.Generator, scale: float) -> Doubles:
+    """Draw normal noise that is smooth over so many taxels, with a margin."""
+    side = SIDE + 2 * FIELD_MARGIN
+    noise: Any = rng.standard_normal((side, side))
+    smooth: Doubles = ndimage.gaussian_filter(noise, scale, mode="wrap")
+    return smooth

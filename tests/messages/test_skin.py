@@ -1,5 +1,7 @@
 """Geometry and range of a skin: what it allows, what is left without some cells, its noise."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -230,6 +232,24 @@ def test_numbers_of_a_matrix_are_in_their_range(name, value, is_allowed):
         PhiState(stamp_ns=0, patch="skin", **fields)
 
 
+@given(
+    skin_states(),
+    st.floats(0.0, 0.2),
+    st.floats(0.0, 4.0),
+    st.integers(0, 2**32 - 1),
+)
+def test_the_bias_of_clipped_noise_is_its_mean(skin, part, depth, seed):
+    sd = part * skin.f_max
+    f_min = -depth * sd
+    skin = dataclasses.replace(skin, sigma_end=sd, f_min=f_min)
+    n = 20_000
+    noise = np.random.default_rng(seed).normal(0, 1, n)
+    mean = sd * np.maximum(noise, -depth).mean()
+    # Noise within two deviations is hardly clipped: 0.0085 of one.
+    assert skin.clip_bias == pytest.approx(mean, abs=sd * (0.009 + 6 / np.sqrt(n)))
+    assert (skin.clip_bias > 0) == (sd > 0 and skin.clips_noise)
+
+
 @pytest.mark.parametrize(
     ("changes", "is_allowed"),
     [
@@ -242,6 +262,8 @@ def test_numbers_of_a_matrix_are_in_their_range(name, value, is_allowed):
         ({"lambda_n": -1e-9}, False),
         ({"frame_ms": -1e-9}, False),
         ({"step_tiles": -1}, False),
+        ({"noise_sum": 9.0}, True),
+        ({"noise_sum": -1e-9}, False),
     ],
 )
 def test_numbers_of_a_solver_are_in_their_range(changes, is_allowed):

@@ -2,7 +2,7 @@
 
 import { Cloud } from "./cloud.js";
 import { contactsOf, summary } from "./contacts.js";
-import { ago, brief, cells, element, highest } from "./dom.js";
+import { ago, brief, cells, element, highest, noiseText } from "./dom.js";
 import { CONTACT } from "./maps.js";
 
 const GAP = 1.08; // distance of patches without a pose, in sides of the largest
@@ -114,11 +114,13 @@ export class Body {
     const now = Object.entries(states).map(([patch, state]) => this.#now(patch, state, isPaused));
     const pressed = of.filter(([patch]) => this.#isPressed(patch)).length;
     const total = of.reduce((sum, [, figures]) => sum + figures.total, 0);
+    const noise = Object.values(states).reduce((sum, { summary: s }) => sum + (s?.noise_sum ?? 0), 0);
     const [where, { peak } = {}] = of.reduce((a, b) => (a[1]?.peak >= b[1].peak ? a : b), []);
     return { total, pressed, tiles: [
       ["patches", "Patches", `${now.length}`, `${now.filter(([text]) => text === "idle").length} idle`],
       ["pressed", "Pressed", `${pressed}`, `of ${now.length} patches`],
-      ["total", "Total", brief(total, skin?.sum_unit), "all patches"],
+      ["total", "Total", brief(total, skin?.sum_unit),
+        noiseText(noise, skin?.sum_unit) || "all patches"],
       ["peak", "Peak", brief(peak, skin?.unit), where ?? ""],
     ] };
   }

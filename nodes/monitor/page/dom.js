@@ -48,6 +48,11 @@ export function brief(value, unit = "") {
   return value.toFixed(Math.min(Math.max(digits, 0), 4)) + (unit && ` ${unit}`);
 }
 
+// What clipped noise adds to a total; "" if it adds nothing.
+export function noiseText(noiseSum, unit) {
+  return noiseSum > 0 ? `about ${brief(noiseSum, unit)} of it noise` : "";
+}
+
 // A value with its standard deviation, rounded to one digit of the latter.
 export function within(value, deviation, unit) {
   const digits = Math.min(Math.max(-Math.floor(Math.log10(deviation)), 0), 4);

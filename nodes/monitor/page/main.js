@@ -346,6 +346,9 @@ function drawText() {
     Object.entries(state?.age_s ?? {}).map(([name, age]) => [name, age + behind]));
   const solver = model.graph?.nodes.find(
     (node) => node.patch === patch && "faulty_taxels" in node.state);
+  const noiseSum = model.summaries[patch]?.noise_sum ?? 0;
+  if (maps) maps.noiseSum = noiseSum;
+  if (strips) strips.noiseSum = noiseSum;
   maps?.markFaulty(solver?.state.faulty_taxels ?? []);
   maps?.markStale(ages, state?.stale_s ?? 0.2,
     model.over || (reachable && (model.quiet || state?.ended)));

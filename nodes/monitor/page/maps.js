@@ -4,7 +4,7 @@
 import { Cloud } from "./cloud.js";
 import { GRADIENT, pixel, Range } from "./colours.js";
 import { Contacts } from "./contacts.js";
-import { brief, byId, cross, element, highest, setText, tick } from "./dom.js";
+import { brief, byId, cross, element, highest, noiseText, setText, tick } from "./dom.js";
 import { DARK, SpaceView } from "./space.js";
 
 const TITLES = {
@@ -324,7 +324,9 @@ export class Maps {
     const centre = name !== this.large ? ""
       : `${SEPARATOR}${peak > Math.max(CONTACT * fMax, noise) ? this.view.centre(map, total, peak) : "no contact"}`;
     const missing = missingOf(map), note = missing ? `${SEPARATOR}${missing} readings missing` : "";
-    return `peak ${brief(peak, unit)}${SEPARATOR}total ${brief(total, sums)}${centre}${note}`;
+    const noisePart = name === "reconstruction" ? noiseText(this.noiseSum, sums) : "";
+    const totals = [`total ${brief(total, sums)}`, noisePart].filter((text) => text).join(", ");
+    return `peak ${brief(peak, unit)}${SEPARATOR}${totals}${centre}${note}`;
   }
 
   errorText(map) {

@@ -2,7 +2,7 @@
 // 0.25 s, each with the extremes, mean and quantiles of its frames.
 
 import { EVENTS } from "./contacts.js";
-import { brief, element, tick } from "./dom.js";
+import { brief, element, noiseText, tick } from "./dom.js";
 
 const SPAN_S = 60;
 const LEFT = 44, RIGHT = 10, TOP = 25, BOTTOM = 16;
@@ -168,7 +168,9 @@ export class Strips {
     }
     const [name, label] = chart.counted ?? [];
     const count = name && this.series[name].points().at(-1)?.[1]?.last;
-    legend(g, chart, lines, asked, colour, width, count === undefined ? "" : `${label} ${count}`);
+    const texts = [count === undefined ? "" : `${label} ${count}`];
+    if (chart.id === "force") texts.push(noiseText(this.noiseSum, chart.unit));
+    legend(g, chart, lines, asked, colour, width, texts.filter((text) => text));
   }
 
   // Events of contacts: begin and end on the lowest line, the others above it.
@@ -235,7 +237,7 @@ function band(g, points, x, y, colour) {
   g.globalAlpha = 1;
 }
 
-function legend(g, chart, lines, asked, colour, width, count = "") {
+function legend(g, chart, lines, asked, colour, width, texts) {
   g.textAlign = "left";
   g.fillStyle = colour("text");
   const title = chart.unit ? `${chart.title} (${chart.unit})` : chart.title;
@@ -248,7 +250,7 @@ function legend(g, chart, lines, asked, colour, width, count = "") {
     return [line.tone, lines.length > 1 ? `${line.label} ${brief(last[1])}` : brief(last[1])];
   });
   if (chart.asked && asked) entries.push(["text", `requested ${brief(asked)}`]);
-  if (count) entries.push(["text", count]);
+  entries.push(...texts.map((text) => ["text", text]));
   for (const [tone, text] of entries) {
     if (at + g.measureText(text).width > width) break;
     g.fillStyle = colour(tone);

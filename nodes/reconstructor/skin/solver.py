@@ -73,6 +73,7 @@ class SkinSolver(CountsTiles):
         "phi = subsample: solver skin does not know its error between the taxels that are read; "
         "advised: solver interpolation, or phi sbhe"
     )
+    subtracts_bias = True
     has_loops = True
     uses_blas = True
     calibrated = (1.33, 0.4)

@@ -94,6 +94,8 @@ class Solver(ABC):
     warning_of_samples: str = ""
     #: True if small products by the BLAS take most of its time, which threads of it slow down.
     uses_blas: bool = False
+    #: True if it subtracts the mean of noise that the range clips at 0.
+    subtracts_bias: bool = False
     #: True if it has compiled loops, which are compiled before the first frame.
     has_loops: bool = False
     #: Factor and power of the error that a residual shows, as of `Uncertainty`; None: none.

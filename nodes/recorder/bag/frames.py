@@ -53,6 +53,7 @@ def frame_topics(
     """
     requested = list(bag.topics if topics is None else dict.fromkeys(topics))
     bag.messages(requested)  # refuses a topic that the bag does not hold
+    # Of all topics of a bag, those without frames are left out; one that is asked for is refused.
     if topics is not None:
         for topic in requested:
             if bag.topics[topic].schema not in schemas:
@@ -77,6 +78,7 @@ def stream_topics(bag: BagReader, topics: Iterable[str] | None) -> list[str]:
 
 def with_states(bag: BagReader, topics: Iterable[str]) -> list[str]:
     """Topics, and those of the states (skin, calibration, Phi, solver) of their patches."""
+    # Each once, in the order of the topics.
     names = list(topics)
     for patch in [patch_of(topic) for topic in names]:
         for cls in STATES:
@@ -113,6 +115,7 @@ def state_json(message: Message) -> dict[str, Any]:
     # Those of the publisher, not of the state.
     del values["run_id"]
     del values["seq"]
+    # A line of text for each row of taxels: a person reads it as a picture.
     mask = values.get("mask")
     if mask is not None:
         rows = mask.astype(int).astype(str)
@@ -129,6 +132,7 @@ def streams(
     """All messages on some topics in recorded order, each with its time of recording, without the
     ends of streams; with a progress bar; raises as `decoded`.
     """
+    # The index knows the number of messages before any is read.
     topics = list(topics)
     total = sum(bag.topics[topic].n_messages for topic in topics)
     for recorded in progress(bag.messages(topics), total, doing):
@@ -189,5 +193,10 @@ def progress(items: Iterable[Any], total: int, doing: str) -> Iterator[Any]:
     """Yield the items, with a progress bar on stderr if that is a terminal."""
     # disable=None: no bar unless stderr is a terminal.
     yield from tqdm(
-        items, total=total, desc=doing, unit="msg", disable=None, leave=False
+        items,
+        total=total,
+        desc=doing,
+        unit="msg",
+        disable=None,
+        leave=False,
     )

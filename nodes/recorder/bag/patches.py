@@ -41,6 +41,7 @@ def _frame_topics(bag: BagReader) -> list[str]:
 
 def _names_on(bag: BagReader, topic: str) -> tuple[str, ...]:
     """Names that the first message on a topic states; () for one patch of its own name."""
+    # They hold for the whole topic: a publisher states its patches once.
     for recorded in bag.messages([topic]):
         message = decoded(bag, recorded)
         if isinstance(message, Frames):
@@ -121,6 +122,7 @@ class SplitBag(BagReader):
             yield recorded
             return
         message = decoded(self._bag, recorded)
+        # It counts messages of all patches: of a single one it would be wrong.
         if isinstance(message, End):
             return
         parts: Iterable[Message]

@@ -95,6 +95,7 @@ class BagReader(AbstractContextManager["BagReader"]):
     def _messages(
         self, wanted: frozenset[str], start_ns: int | None, stop_ns: int | None
     ) -> Iterator[BagMessage]:
+        # A topic has several channels where its schema changed its version.
         channels = {}
         for id, channel in self._index.channels.items():
             if channel.topic in wanted:
@@ -112,6 +113,7 @@ class BagReader(AbstractContextManager["BagReader"]):
                     continue
                 if stop_ns is not None and stamp_ns >= stop_ns:
                     continue
+                # A copy: the buffer of the chunk would stay in memory with each message.
                 yield BagMessage(*channels[id], log_ns, stamp_ns, bytes(data))
 
     def _chunk(self, chunk: ChunkSpan) -> bytes:
@@ -136,11 +138,13 @@ def _open(path: Path) -> BinaryIO:
         if not stat.S_ISREG(mode):
             kind = "is a folder" if stat.S_ISDIR(mode) else "is no regular file"
             hint = ""
+            # A bag of ROS 2 is a folder with that file.
             if (path / "metadata.yaml").is_file():
                 hint = ROS2_HINT
             raise BagError(f"{path}: {kind}; expected a recording, NAME.mcap{hint}")
         return open(path, "rb")
     except FileNotFoundError as error:
+        # A recorder that was killed leaves the file under that name.
         part = f"{path}{PART_SUFFIX}"
         hint = ""
         if os.path.exists(part):

@@ -98,6 +98,7 @@ class _WholeWrites:
         return self._file.tell() + len(self.pending)
 
     def flush(self) -> None:
+        # The operating system may take a part of the bytes only.
         begin = self._file.tell()
         unwritten = memoryview(bytes(self.pending))
         self.pending.clear()
@@ -113,6 +114,7 @@ class _WholeWrites:
 
     def close(self, sync: bool) -> None:
         """Close the file without the pending bytes; with `sync`, once the disk holds it."""
+        # A bag that has its name is on the disk.
         if sync:
             os.fsync(self._file.fileno())
         self._file.close()
@@ -139,6 +141,7 @@ class BagWriter(AbstractContextManager["BagWriter"]):
         monotonic: Callable[[], float] = time.monotonic,
     ) -> None:
         self.path = Path(path)
+        # The name is that of a complete bag: until then the file has another.
         self.part = check_new_bag(self.path)
         self.n_messages = 0
         self._flush_every_s = flush_every_s
@@ -242,6 +245,7 @@ class BagWriter(AbstractContextManager["BagWriter"]):
         """
         if self._closed:
             return
+        # First: whatever fails below, nothing is written any more.
         self._closed = True
         try:
             if self._failure:
@@ -266,6 +270,7 @@ class BagWriter(AbstractContextManager["BagWriter"]):
         channel = self._channels.get((topic, schema, version))
         if channel is not None:
             return channel
+        # What a file states is checked once: names come from other programs, too.
         try:
             split_topic(topic)
         except MessageError as error:

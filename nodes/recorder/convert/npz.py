@@ -73,6 +73,7 @@ def export_npz(
         by_patch.setdefault(patch_of(topic), []).append(topic)
     written = []
     for patch in sorted(by_patch):
+        # A reader of such files expects one skin in each.
         path = out
         if len(by_patch) > 1:
             path = out.with_name(f"{out.stem}_{patch}{out.suffix}")
@@ -94,6 +95,7 @@ def _export_patch(bag: BagReader, patch: str, topics: list[str], path: Path) -> 
         arrays = _described(bag, patch)
         for topic_arrays in _recorded(bag, with_states(bag, topics), Path(scratch)):
             arrays |= topic_arrays
+        # Not by np.savez, which would copy the arrays of files into memory.
         for name, values in arrays.items():
             with archive.open(f"{name}.npy", "w", force_zip64=True) as member:
                 np.lib.format.write_array(member, np.asanyarray(values))
@@ -142,8 +144,10 @@ class _Columns:
     def add(self, message: Message, log_time_ns: int) -> None:
         values = {**values_alone(message), LOG_TIME: log_time_ns}
         for name, column in self._columns.items():
-            column.append(math.nan if values[name] is None else values[name])
+            value = values[name]
+            column.append(math.nan if value is None else value)
         frame = values_of(message)
+        # Of a state or of contacts.
         if frame is None:
             return
 
@@ -165,6 +169,7 @@ class _Columns:
         """Raise BagError if the frame has another shape than the one before; M may change."""
         if not self._shapes or isinstance(message, Measurements):
             return
+        # Another skin under the same name: one array cannot hold both.
         previous = self._shapes[-1]
         if frame.shape != previous:
             n_rows, n_cols = frame.shape
@@ -176,7 +181,11 @@ class _Columns:
         """Arrays by their names in the file; a field that no message has gets none."""
         # As the sensor reads them from a file.
         frames_name, stamps_name = array_names(self._schema)
-        short = {"forces": frames_name, "y": frames_name, "stamp_ns": stamps_name}
+        short = {
+            "forces": frames_name,
+            "y": frames_name,
+            "stamp_ns": stamps_name,
+        }
         arrays = {
             name: self._frames(self._files[name]) for name in sorted(self._with_frames)
         }
@@ -199,6 +208,7 @@ class _Columns:
         n_padded = math.prod(shape)
         if numbers.size == n_padded:
             return numbers.reshape(shape)
+        # One long frame among many short ones would fill the disk.
         if n_padded > max(MAX_PADDED, MAX_PADDING * numbers.size):
             fault = f"{numbers.size} numbers would be padded to {n_padded}"
             allowed = f"at most {MAX_PADDING} times as many are allowed"
@@ -230,7 +240,11 @@ class _Contacts:
     def arrays(self) -> dict[str, npt.NDArray[Any]]:
         """Arrays by their names in the file."""
         arrays = {name: np.concatenate(parts) for name, parts in self._columns.items()}
-        dtypes = {"event_stamp_ns": "<i8", "event_id": "<i4", "event": "<U8"}
+        dtypes = {
+            "event_stamp_ns": "<i8",
+            "event_id": "<i4",
+            "event": "<U8",
+        }
         events = np.array(self._events, list(dtypes.items()))
         arrays |= {name: events[name] for name in dtypes}
         return {f"{Contacts.schema}_{name}": values for name, values in arrays.items()}

@@ -25,12 +25,14 @@ from sparseskin.nodes.sensor.files.survey import Needs
 from sparseskin.nodes.sensor.layout.layout import EMPTY, KEEP, Layout
 from sparseskin.nodes.sensor.source import DEFAULT_RATE_HZ
 
+PATCH = "skin"
+"""Patch of the frames of a file, as of a sensor unless stated otherwise."""
+
 
 def import_file(
     source: Path,
     out: Path,
     *,
-    patch: str = "skin",
     layout: Layout = EMPTY,
     keep: Sequence[str] = (),
     tare: int | None = None,
@@ -39,12 +41,12 @@ def import_file(
 ) -> int:
     """Write a recording, in any format that the sensor reads, as a bag.
 
-    The bag holds what a sensor would have published from the file: /PATCH/skin, then
-    /PATCH/taxels, with stamps from 0; and /PATCH/calibration where readings are made forces. The
+    The bag holds what a sensor would have published from the file: /skin/skin, then
+    /skin/taxels, with stamps from 0; and /skin/calibration where readings are made forces. The
     run id is a hash of the frames, so the same file gives the same bag.
 
     `layout` is what the file does not state; `keep` are further channels, as x and y, each of
-    which becomes a patch of its own, PATCH_x, with its sign; `tare` and `invert` are settings of
+    which becomes a patch of its own, skin_x, with its sign; `tare` and `invert` are settings of
     the sensor: frames of the tare are left out. Frames that are not to be trusted for rest, sign
     or range have the reason. `log` is called with lines on how the file was read, on what was
     assumed, on readings that were not valid, and on rest and sign. Returns the number of frames.
@@ -52,10 +54,11 @@ def import_file(
     Raises SourceError if the recording is missing or malformed or a setting contradicts it,
     BagError if the bag exists or cannot be written.
     """
-    main = _Imported(source, patch, layout, _Zeroing(tare, invert), log)
+    main = _Imported(source, PATCH, layout, _Zeroing(tare, invert), log)
     patches = [main]
     for channel in keep:
-        name = f"{patch}_{channel}"
+        # x and y are forces of both signs, which a range from 0 on would cut.
+        name = f"{PATCH}_{channel}"
         of_channel = layout.stating({"channel": channel, "negative": KEEP})
         patches.append(_Imported(source, name, of_channel, _Zeroing(0), log))
     metadata = metadata_of(launch="", graph="") | {"imported_from": source.name}
@@ -66,6 +69,7 @@ def import_file(
         merged = heapq.merge(*streams, key=lambda timed: timed[0])
         for stamp_ns, message, number in progress(merged, total, "import"):
             bag.record(message.published(main.frames.digest, number), stamp_ns)
+        # A bag without a frame is no recording: nothing can be played.
         if main.n_frames == 0:
             raise BagError(f"{str(source)!r}: all frames are of the tare")
     return main.n_frames
@@ -89,6 +93,7 @@ class _Imported:
         zeroing: _Zeroing,
         log: Callable[[str], None],
     ) -> None:
+        # Then readings are not forces yet, and may have any range.
         raw = bool(zeroing.tare or zeroing.invert)
         self.frames = open_file(source, layout, raw, Needs(digest=True))
         self.n_frames = 0
@@ -96,6 +101,7 @@ class _Imported:
         self._patch = patch
         self._log = log
         self._forces_of = _Forces(self.frames, zeroing.tare, zeroing.invert, log)
+        # What was found as the file was opened stands before all else.
         for line in self.frames.take_lines():
             log(line)
 
@@ -119,6 +125,7 @@ class _Imported:
             )
             yield stamp_ns, taxels, self.n_frames
             self.n_frames += 1
+        # Once all frames are known: the counts in it are those of the whole file.
         if self._forces_of.line:
             self._log(self._forces_of.line)
 
@@ -160,6 +167,7 @@ class _Forces:
         self._chain: Chain | None = None
         if tare or invert:
             self._chain = Chain(described, drift_rate, tare or 0, log)
+        # Who states one of them, a tare of 0 too, has looked at the readings.
         has_level = tare is None and not invert
         clipped = (self._chain or source).clipped
         self._doubt = Doubt(
@@ -204,6 +212,7 @@ def recover_bag(bag: BagReader, out: Path) -> int:
     messages. Raises BagError if the new bag exists or cannot be written.
     """
     metadata = dict(bag.metadata)
+    # A bag that is whole is copied as it is.
     if bag.recovered:
         metadata["recovered"] = bag.recovered
     total = sum(info.n_messages for info in bag.topics.values())

@@ -13,6 +13,7 @@ from sparseskin.messages.ranges import is_whole
 from sparseskin.messages.skin import Skin
 from sparseskin.nodes.errors import RefusedError
 from sparseskin.nodes.numerics.arrays import Doubles, Floats, Mask
+from sparseskin.nodes.sensor.repetition import line_on_still
 from sparseskin.nodes.sensor.saturation import Clipped
 
 from .description import SkinDescription
@@ -170,6 +171,9 @@ class Chain:
         if n_moved and old_baseline is not None:
             line += f", of {n_moved} taxels by more than {100 * MOVED:g} % of the range"
             line += ": a touch while taring, or a baseline that was old"
+        still = line_on_still(readings, self.skin.exists & ~self._untared)
+        if still:
+            line += f"; {still}"
         self._tared = line
         self.is_news = True
         self._log(f"tared: {line}")

@@ -9,17 +9,9 @@ import numpy as np
 from sparseskin.messages import Reason
 from sparseskin.messages.skin import Skin
 from sparseskin.nodes.numerics.arrays import Floats, Indices, Mask, mean_of_near
+from sparseskin.nodes.sensor.repetition import needed_repetitions
 from sparseskin.nodes.sensor.sign import Margin, some_of
 
-CHANCE = 1e-12
-"""Probability at which the noise of a taxel repeats one reading so often. Chosen: at 1 kHz one in
-10 years on 4096 taxels."""
-QUIETER = 4.0
-"""Largest ratio of the probabilities of a repetition, of a pressed taxel and an untouched one.
-Chosen: its noise may be a quarter."""
-USUAL = 0.9
-"""Probability of a repetition from which on nothing is concluded. Chosen: readings of so coarse a
-converter stand still under a load that does."""
 SHOWN = 1 / 3
 """Least part of the readings of untouched taxels that are not 0, where noise shows. Derived: of
 noise that is clipped at 0 one half is, of noise within a step of the converter none."""
@@ -182,11 +174,7 @@ class Repeats:
         """Number of repetitions of a stuck taxel; infinite where none shows."""
         if self._n_shown < SHOWN * self._n_untouched:
             return math.inf
-        # One more of each: before the first repetition none is ruled out.
-        probability = QUIETER * (self._n_repeated + 1) / (self._n_pairs + 1)
-        if probability >= USUAL:
-            return math.inf
-        return max(LEAST_RUN, math.ceil(math.log(CHANCE) / math.log(probability)))
+        return max(LEAST_RUN, needed_repetitions(self._n_repeated, self._n_pairs))
 
     @staticmethod
     def _matters(readings: Floats, stuck: Indices) -> bool:

@@ -84,8 +84,9 @@ class BagStorage(ChunkedStorage):
         file.seek(begin)
         while file.tell() < stop:
             offset = file.tell()
-            head = _fields(_bytes(file, offset, stop, MAX_HEAD_BYTES), offset)
-            yield Record(offset, head, _bytes(file, offset, stop, MAX_CHUNK_BYTES))
+            head = _bytes(file, offset, stop, MAX_HEAD_BYTES)
+            data = _bytes(file, offset, stop, MAX_CHUNK_BYTES)
+            yield Record(offset, _fields(head, offset), data)
 
     def in_chunk(self, record: Record) -> Iterable[Record]:
         if record.opcode != OP_CHUNK:
@@ -98,10 +99,11 @@ class BagStorage(ChunkedStorage):
 
     def in_begin_of_chunk(self, file: IO[bytes], stop: int) -> Iterable[Record]:
         offset = file.tell()
-        head = _fields(_bytes(file, offset, stop, MAX_HEAD_BYTES), offset)
+        head = _bytes(file, offset, stop, MAX_HEAD_BYTES)
         # Its length is beyond the end of the file.
         file.read(LENGTH.size)
-        record = Record(offset, head, file.read(MAX_CHUNK_BYTES))
+        data = file.read(MAX_CHUNK_BYTES)
+        record = Record(offset, _fields(head, offset), data)
         if record.opcode != OP_CHUNK:
             return ()
         plain = _plain(record)
@@ -110,17 +112,20 @@ class BagStorage(ChunkedStorage):
     def payload(self, record: Record) -> tuple[int, int, bytes] | None:
         if record.opcode != OP_MESSAGE:
             return None
-        sec, nanosec = record.unpacked(TIME, b"time")
-        return record.number(b"conn"), sec * 10**9 + nanosec, record.data
+        seconds, nanoseconds = record.unpacked(TIME, b"time")
+        stamp_ns = seconds * 10**9 + nanoseconds
+        return record.number(b"conn"), stamp_ns, record.data
 
     def note(self, record: Record) -> None:
         if record.opcode != OP_CONNECTION or len(self.connections) >= MAX_TOPICS:
             return
         # Its content is a head of its own: the type of its messages, and the definition of that.
-        about = Record(record.offset, _fields(record.data, record.offset), b"")
+        head = _fields(record.data, record.offset)
+        about = Record(record.offset, head, b"")
         kind = full_name(about.text(b"type"))
         described = Topic(kind, about.text(b"message_definition"), ros=1)
-        self.connections[record.number(b"conn")] = (record.text(b"topic"), described)
+        number = record.number(b"conn")
+        self.connections[number] = (record.text(b"topic"), described)
 
 
 def _bytes(file: IO[bytes], offset: int, stop: int, most: int) -> bytes:

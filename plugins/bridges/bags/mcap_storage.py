@@ -33,7 +33,11 @@ FOOTER_BYTES = HEAD_BYTES + 20
 """Size of the last record, of two places and a checksum."""
 CHUNK_HEAD = struct.Struct("<BQQQQI")
 """Begin of a chunk: opcode, length, times, size and checksum of its records."""
-FORMS = {"ros1msg": "msg", "ros2msg": "msg", "ros2idl": "idl"}
+FORMS = {
+    "ros1msg": "msg",
+    "ros2msg": "msg",
+    "ros2idl": "idl",
+}
 VERSIONS = {"ros1": 1, "cdr": 2}
 """Version of ROS by the encoding of its messages."""
 

@@ -183,7 +183,11 @@ def figures_schema(cls: type[Message], more: Iterable[str] = ()) -> dict[str, An
     properties = {name: {"type": "number"} for name in (*figure_names(cls), *more)}
     # All others are numbers.
     properties["trusted"] = {"type": "boolean"}
-    return {"type": "object", "title": "sparseskin.Figures", "properties": properties}
+    return {
+        "type": "object",
+        "title": "sparseskin.Figures",
+        "properties": properties,
+    }
 
 
 def raw_image(message: Message, array: Floats) -> Any:
@@ -252,7 +256,12 @@ def contact_scene(message: Contacts, skin: SkinState) -> Any:
         middle[1] = side * (skin.n_rows - 1) / 2
 
     red, green, blue, opacity = COLOURS[message.trusted[0]]
-    colour = primitives.Color(r=red, g=green, b=blue, a=opacity)
+    colour = primitives.Color(
+        r=red,
+        g=green,
+        b=blue,
+        a=opacity,
+    )
 
     entities = []
     for shape in shapes(message, skin):
@@ -292,7 +301,11 @@ def _contact_primitives(shape: Shape, middle: Doubles, colour: Any) -> dict[str,
     )
     sphere = primitives.SpherePrimitive(
         pose=_pose(*centre),
-        size=primitives.Vector3(x=d, y=d, z=d / 4),
+        size=primitives.Vector3(
+            x=d,
+            y=d,
+            z=d / 4,
+        ),
         color=colour,
     )
     text = primitives.TextPrimitive(
@@ -302,7 +315,11 @@ def _contact_primitives(shape: Shape, middle: Doubles, colour: Any) -> dict[str,
         color=colour,
         text=shape.text,
     )
-    return {"arrows": [arrow], "spheres": [sphere], "texts": [text]}
+    return {
+        "arrows": [arrow],
+        "spheres": [sphere],
+        "texts": [text],
+    }
 
 
 def _turn_from_x(direction: Doubles) -> tuple[float, float, float, float]:
@@ -321,8 +338,20 @@ def _pose(x: float, y: float, z: float = 0.0, *turn: float) -> Any:
     from foxglove.messages import Pose, Quaternion, Vector3
 
     qx, qy, qz, qw = turn or (0.0, 0.0, 0.0, 1.0)
-    orientation = Quaternion(x=qx, y=qy, z=qz, w=qw)
-    return Pose(position=Vector3(x=x, y=y, z=z), orientation=orientation)
+    orientation = Quaternion(
+        x=qx,
+        y=qy,
+        z=qz,
+        w=qw,
+    )
+    return Pose(
+        position=Vector3(
+            x=x,
+            y=y,
+            z=z,
+        ),
+        orientation=orientation,
+    )
 
 
 def _fields(names: Iterable[str]) -> list[Any]:
@@ -335,7 +364,13 @@ def _fields(names: Iterable[str]) -> list[Any]:
         kind = types.Uint32 if name == ROW else types.Float32
         # All columns have four bytes, whatever their type is.
         offset = FLOAT32_BYTES * k
-        fields.append(PackedElementField(name=name, offset=offset, type=kind))
+        fields.append(
+            PackedElementField(
+                name=name,
+                offset=offset,
+                type=kind,
+            )
+        )
     return fields
 
 

@@ -226,25 +226,21 @@ def export_lerobot(
     bag; OutputError if the folder exists or cannot be written.
     """
     check_installed("writing for LeRobot", "lerobot", "pyarrow", error=BagError)
-    _check_options({"fps": fps, "window": window, "contacts": contacts}, out, into)
+    numbers = {"fps": fps, "window": window, "contacts": contacts}
+    _check_options(numbers, out, into)
     offsets_ns = _offsets_ns(offset, len(bags))
     rate = fps or FPS
     # Rows are those of the dataset where there is one.
     existing = None
     if into is not None:
-        existing = Dataset(Path(into))
+        existing = _dataset_of(into, len(bags))
         rate = existing.fps
-        n = len(existing.times_ns)
-        if n != len(bags):
-            raise BagError(
-                f"{into}: has {n} episodes; state as many recordings, not {len(bags)}"
-            )
 
     with whole_folder(out):
         with tempfile.TemporaryDirectory(dir=out, prefix=".frames") as name:
             folder = Path(name)
             # All episodes have the window of the first one: shapes of features must agree.
-            sizes = dict[str, int]()
+            sizes: dict[str, int] = {}
             episodes = []
             for bag, offset_ns in zip(bags, offsets_ns, strict=True):
                 maps = []
@@ -271,6 +267,17 @@ def export_lerobot(
         return sorted(path for path in out.rglob("*") if path.is_file())
 
 
+def _dataset_of(into: str, n_episodes: int) -> Dataset:
+    """The dataset in a folder. Raises BagError if it has another number of episodes."""
+    dataset = Dataset(Path(into))
+    n = len(dataset.times_ns)
+    if n != n_episodes:
+        raise BagError(
+            f"{into}: has {n} episodes; state as many recordings, not {n_episodes}"
+        )
+    return dataset
+
+
 def _check_shapes(
     added: Sequence[dict[str, Feature]], path: Path, path_of_first: Path
 ) -> None:
@@ -285,7 +292,11 @@ def _check_shapes(
 
 def _check_options(numbers: dict[str, int | None], out: Path, into: str | None) -> None:
     """Raise BagError or OutputError if an option is out of its range, or contradicts another."""
-    highest = {"fps": MAX_FPS, "window": MAX_WINDOW, "contacts": MAX_CONTACTS}
+    highest = {
+        "fps": MAX_FPS,
+        "window": MAX_WINDOW,
+        "contacts": MAX_CONTACTS,
+    }
     for name, number in numbers.items():
         if number is not None and not 1 <= number <= highest[name]:
             raise BagError(f"--{name}: {number} is outside 1..{highest[name]}")

@@ -34,7 +34,13 @@ TOLERANCE_S = 1e-4
 """Deviation of a timestamp from a multiple of 1 / fps that is rounding; as in LeRobot."""
 BLOCK_BYTES = 1 << 26
 """Size of what is held in memory at once, bytes: a recording may be larger than the memory."""
-QUANTILES = {"q01": 0.01, "q10": 0.1, "q50": 0.5, "q90": 0.9, "q99": 0.99}
+QUANTILES = {
+    "q01": 0.01,
+    "q10": 0.1,
+    "q50": 0.5,
+    "q90": 0.9,
+    "q99": 0.99,
+}
 DATA_PATH = "data/chunk-{chunk_index:03d}/file-{file_index:03d}.parquet"
 INFO = "meta/info.json"
 STATS = "meta/stats.json"
@@ -109,7 +115,9 @@ class Dataset:
             self._data = sorted(root.glob("data/*/*.parquet"))
             # Only these columns are read: images would fill the memory.
             names = ["episode_index", "timestamp"]
-            tables = [pq.read_table(path, columns=names) for path in self._data]
+            tables = []
+            for path in self._data:
+                tables.append(pq.read_table(path, columns=names))
             table = pa.concat_tables(tables)
             episodes = table["episode_index"].to_numpy()
             seconds = table["timestamp"].to_numpy()
@@ -119,8 +127,10 @@ class Dataset:
                 raise ValueError(f"rows of {len(indices)} episodes, {fault}")
 
             # Rows may stand in any file; those of one episode are in order.
-            times_ns = self._in_ns(seconds[np.argsort(episodes, kind="stable")])
-            self.times_ns = np.split(times_ns, np.cumsum(counts)[:-1])
+            order = np.argsort(episodes, kind="stable")
+            times_ns = self._in_ns(seconds[order])
+            begins = np.cumsum(counts)[:-1]
+            self.times_ns = np.split(times_ns, begins)
 
     def join(
         self, out: Path, added: Sequence[Mapping[str, Feature]], about: str
@@ -139,13 +149,15 @@ class Dataset:
             self._link_files(out)
             stats_of_episodes = []
             for features, times_ns in zip(added, self.times_ns, strict=True):
-                stats_of_episodes.append(
-                    {key: feature.stats(times_ns) for key, feature in features.items()}
-                )
+                stats = {}
+                for key, feature in features.items():
+                    stats[key] = feature.stats(times_ns)
+                stats_of_episodes.append(stats)
             self._join_rows(out, added)
             self._join_episodes(out, stats_of_episodes)
             for key, feature in added[0].items():
-                pooled = _pooled([stats[key] for stats in stats_of_episodes])
+                of_feature = [of_episode[key] for of_episode in stats_of_episodes]
+                pooled = _pooled(of_feature)
                 self._stats[key] = _appended(self._stats.get(key), pooled)
                 self._features[key] = self._with(key, feature)
             readme = self.root / README
@@ -167,7 +179,11 @@ class Dataset:
             return [name for name in names if Path(folder, name) in replaced]
 
         shutil.copytree(
-            self.root, out, ignore=ignored, copy_function=_link, dirs_exist_ok=True
+            self.root,
+            out,
+            ignore=ignored,
+            copy_function=_link,
+            dirs_exist_ok=True,
         )
 
     def _in_ns(self, seconds: npt.NDArray[Any]) -> Times:
@@ -176,15 +192,20 @@ class Dataset:
         # A float32 of some minutes is exact to some 30 us: rounding would shift frames.
         row = np.rint(wide * self.fps)
         regular = np.abs(wide - row / self.fps) < TOLERANCE_S
-        exact = row.astype(np.int64) * 1_000_000_000 // self.fps
-        return np.where(regular, exact, np.rint(wide * 1e9)).astype(np.int64)
+        exact_ns = row.astype(np.int64) * 1_000_000_000 // self.fps
+        stated_ns = np.rint(wide * 1e9)
+        return np.where(regular, exact_ns, stated_ns).astype(np.int64)
 
     def _with(self, key: str, feature: Feature) -> dict[str, Any]:
         """A feature as info.json states it, appended to that of the dataset."""
         existing = self._features.get(key)
         names = feature.names
         if existing is None:
-            return {"dtype": "float32", "shape": [*feature.shape], "names": names}
+            return {
+                "dtype": "float32",
+                "shape": [*feature.shape],
+                "names": names,
+            }
 
         # Datasets that were converted have their names in a dict.
         names_before = existing["names"]
@@ -194,7 +215,11 @@ class Dataset:
         if names and isinstance(names_before, list):
             all_names = [*names_before, *names]
         n = existing["shape"][0] + feature.shape[0]
-        return {"dtype": "float32", "shape": [n], "names": all_names}
+        return {
+            "dtype": "float32",
+            "shape": [n],
+            "names": all_names,
+        }
 
     def _join_rows(self, out: Path, added: Sequence[Mapping[str, Feature]]) -> None:
         import pyarrow as pa
@@ -228,10 +253,14 @@ class Dataset:
         numbers = table["episode_index"].to_numpy()
         times_ns = self._in_ns(table["timestamp"].to_numpy())
         # Rows of one episode after each other.
-        borders = [0, *(np.flatnonzero(np.diff(numbers)) + 1), len(numbers)]
+        begins = np.flatnonzero(np.diff(numbers)) + 1
+        borders = [0, *begins, len(numbers)]
         runs = [slice(*ends) for ends in itertools.pairwise(borders)]
         for key in added[0]:
-            parts = [added[numbers[run.start]][key].rows(times_ns[run]) for run in runs]
+            parts = []
+            for run in runs:
+                feature = added[numbers[run.start]][key]
+                parts.append(feature.rows(times_ns[run]))
             rows = np.concatenate(parts)
             # States of the dataset stand before those that are added.
             if key in self._features:
@@ -255,10 +284,9 @@ class Dataset:
             for key in stats_of_episodes[0]:
                 prefix = f"stats/{key}/"
                 columns = [n for n in table.column_names if n.startswith(prefix)]
+                rows_before = table.select(columns).to_pylist()
                 rows = []
-                for k, row in zip(
-                    numbers, table.select(columns).to_pylist(), strict=True
-                ):
+                for k, row in zip(numbers, rows_before, strict=True):
                     existing = {name.removeprefix(prefix): row[name] for name in row}
                     rows.append(_appended(existing, stats_of_episodes[k][key]))
 
@@ -302,8 +330,11 @@ def make_dataset(root: Path, lengths: Sequence[int], fps: int) -> Dataset:
         }
         # A file of its own for each episode.
         places = {"chunk_index": k // CHUNK, "file_index": k % CHUNK}
-        pq.write_table(pa.table(columns), _make(root / DATA_PATH.format(**places)))
-        of_columns = {name: _stats(values[:, None]) for name, values in columns.items()}
+        path = root / DATA_PATH.format(**places)
+        pq.write_table(pa.table(columns), _make(path))
+        of_columns = {}
+        for name, values in columns.items():
+            of_columns[name] = _stats(values[:, None])
         stats.append(of_columns)
         episode = {
             "episode_index": k,
@@ -317,7 +348,11 @@ def make_dataset(root: Path, lengths: Sequence[int], fps: int) -> Dataset:
     features = {}
     pooled = {}
     for name, values in columns.items():
-        features[name] = {"dtype": str(values.dtype), "shape": [1], "names": None}
+        features[name] = {
+            "dtype": str(values.dtype),
+            "shape": [1],
+            "names": None,
+        }
         pooled[name] = _pooled([of_episode[name] for of_episode in stats])
     info = _info_of(lengths, fps, features)
     table = pa.Table.from_pylist(episodes)
@@ -372,8 +407,19 @@ def _write_tasks(path: Path) -> None:
     columns = []
     for name, (pandas_type, numpy_type) in kinds.items():
         types = {"pandas_type": pandas_type, "numpy_type": numpy_type}
-        columns.append({"name": name, "field_name": name, "metadata": None, **types})
-    about = {"index_columns": ["task"], "column_indexes": [], "columns": columns}
+        columns.append(
+            {
+                "name": name,
+                "field_name": name,
+                "metadata": None,
+                **types,
+            }
+        )
+    about = {
+        "index_columns": ["task"],
+        "column_indexes": [],
+        "columns": columns,
+    }
     # LeRobot looks a task up by its text, which pandas restores as the index.
     text = json.dumps({**about, "pandas_version": "2.0.0"})
     table = pa.table({"task_index": [0], "task": [TASK]})

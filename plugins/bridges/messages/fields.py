@@ -29,8 +29,15 @@ NO_READINGS = re.compile(
 )
 """Fields of messages that are no readings, where there are others."""
 NAMES = (
-    *("name", "names", "label", "labels"),
-    *("id", "ids", "index", "indices", "taxel_id"),
+    "name",
+    "names",
+    "label",
+    "labels",
+    "id",
+    "ids",
+    "index",
+    "indices",
+    "taxel_id",
 )
 """Members beside numbers that name them."""
 COMPRESSED = ("CompressedImage", "CompressedVideo", "CompressedPointCloud2")

@@ -22,7 +22,11 @@ from .decoding import Message
 ENCODING = re.compile(r"(8|16|32|64)([USF])C([1-9])|mono(8|16)")
 """Encodings of sensor_msgs/Image that are read: bits, kind and numbers per pixel."""
 ALLOWED = "8UC1, 8SC1, 16UC1, 16SC1, 32SC1, 32FC1, 64FC1, as C3 of three axes, mono8 and mono16"
-KINDS_OF_NUMBERS = {"U": "u", "S": "i", "F": "f"}
+KINDS_OF_NUMBERS = {
+    "U": "u",
+    "S": "i",
+    "F": "f",
+}
 FIELDS = ("", "i1", "u1", "i2", "u2", "i4", "u4", "f4", "f8")
 """Dtypes of a field of sensor_msgs/PointCloud2, by the number of its type."""
 PLACES = re.compile(r"[xyzt]|(n|normal_)[xyz]|rgba?|ring|row|index|time.*|curvature")

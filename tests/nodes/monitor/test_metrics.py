@@ -386,6 +386,22 @@ def test_the_status_line_counts_what_is_missing_so_far():
     )
 
 
+@given(st.lists(st.floats(0.0, 1e3), min_size=1, max_size=4))
+def test_a_total_force_stands_beside_the_part_of_it_that_is_noise(noise_sums):
+    patches = {}
+    for k, noise_sum in enumerate(noise_sums):
+        solver = dataclasses.replace(SOLVER, noise_sum=noise_sum)
+        patches[f"p{k}"] = metrics_of(skin(), solver, *frame(0, 1.0, 1.0, 1.0))
+    line = status_line(patches, 200.0)
+    total = f"| {20 * len(patches):.3g} N"
+    if not any(noise_sums):
+        assert f"{total} |" in line
+        return
+    assert f"{total}, about {sum(noise_sums):.3g} N of it noise |" in line
+    table = patches["p0"].summary()
+    assert table["noise_sum"] == noise_sums[0]
+
+
 def test_a_status_line_of_80_columns_has_the_contacts():
     metrics = metrics_of(skin(), *estimated(123456, 1.0, trusted=True), contacts(2))
     assert "| 2 contacts, 5 N |" in status_line({"forearm": metrics}, 1000.0)[:79]

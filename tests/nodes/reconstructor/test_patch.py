@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from bags import skin_state
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from pressed import noisy, sliding_disc
@@ -352,6 +352,24 @@ def test_what_is_stated_of_a_solver_is_what_it_uses():
     assert bench.stated["frame_ms"] == 0.0
     assert "max_iterations" not in bench.stated
     assert Bench().stated["lambda_n"] == 0.0
+
+
+@given(st.floats(0.004, 0.05), st.integers(0, 2**32 - 1))
+@settings(max_examples=10)
+def test_the_sum_of_clipped_noise_that_a_solver_leaves_is_stated(sd, seed):
+    bench = Bench(preset="paper", skin={"sigma_mid": sd, "sigma_end": sd})
+    rng = np.random.default_rng(seed)
+    sums = []
+    for _ in range(8):
+        readings = np.clip(rng.normal(0, sd, SHAPE), 0, F_MAX)
+        forces = bench.frame(readings.astype(np.float32)).forces
+        sums.append(forces.sum())
+    # Shrinkage takes a little of it; to set negative forces to 0 adds to it.
+    assert np.mean(sums) == pytest.approx(bench.stated["noise_sum"], rel=0.3)
+
+
+def test_the_default_solver_leaves_no_clipped_noise_in_a_total():
+    assert Bench(skin={"sigma_end": 0.02}).stated["noise_sum"] == 0.0
 
 
 @pytest.mark.parametrize(

@@ -11,13 +11,9 @@ from sparseskin.messages import Reason, Taxels
 from sparseskin.messages.skin import Skin
 from sparseskin.nodes.clock import ManualClock
 from sparseskin.nodes.node import Context, Tick
-from sparseskin.nodes.sensor.doubt.repeats import (
-    CHANCE,
-    LEAST_RUN_AT_END,
-    QUIETER,
-    Repeats,
-)
-from sparseskin.nodes.sensor.node import MOST_NAMED, Sensor
+from sparseskin.nodes.sensor.doubt.repeats import LEAST_RUN_AT_END, Repeats
+from sparseskin.nodes.sensor.node import Sensor
+from sparseskin.nodes.sensor.repetition import CHANCE, MOST_NAMED, QUIETER
 
 F_MAX = 2.5
 SIGMA = 0.014
