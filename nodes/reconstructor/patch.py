@@ -145,7 +145,7 @@ class Patch:
         self._warm = self._last
         noise_sum = 0.0
         if not solver_fact(cls, "subtracts_bias"):
-            noise_sum = skin.n_taxels * state.clip_bias
+            noise_sum = state.skin.n_taxels * state.clip_bias
         return {
             "basis": basis,
             "lambda_n": options.get("lambda_n", 0.0),
