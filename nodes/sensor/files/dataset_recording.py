@@ -16,7 +16,13 @@ from sparseskin.nodes.numerics.arrays import Mask
 from sparseskin.nodes.sensor.layout import times
 from sparseskin.nodes.sensor.layout.arrangement import Axis
 from sparseskin.nodes.sensor.layout.checks import parse_number, shown
-from sparseskin.nodes.sensor.layout.roles import CHANNEL, FRAMES, label_role, roles_of
+from sparseskin.nodes.sensor.layout.roles import (
+    CHANNEL,
+    FRAMES,
+    is_first_longest,
+    label_role,
+    roles_of,
+)
 from sparseskin.nodes.sensor.layout.tally import Tally
 
 from .datasets import (
@@ -39,6 +45,12 @@ from .datasets import (
 )
 from .recording import Block, File, Head, Recording, frames_per_block
 from .table.columns import time_of_rows
+
+MAX_ROWS = 256
+"""Longest side of a skin; chosen: mats and beds have up to 160 rows."""
+MAX_RATIO = 1.5
+"""Largest change from frame to frame by that between neighbouring taxels; chosen: four recordings
+have 0.15 to 0.83, and numbers in no order 1."""
 
 
 class DatasetRecording(Recording):
@@ -183,12 +195,9 @@ class DatasetRecording(Recording):
         # Times are found first: their number shows which axis is that of the frames.
         keys = times_keys(arrays, self._layout)
         n_times = {math.prod(arrays.datasets[key].sides) for key in keys}
-        first_is_usual: bool | None = arrays.has_frames_first
-        if first_is_usual and arrays.last_part(self._key) == FORCES:
-            first_is_usual = None
         axes = arrays.axes(self._key)
         roles, is_guess = roles_of(
-            self._layout, axes, self._where, True, n_times, first_is_usual
+            self._layout, axes, self._where, True, n_times, self._frames_are_first
         )
         for at, (role, axis) in enumerate(zip(roles, axes, strict=True)):
             if role == FRAMES:
@@ -213,6 +222,32 @@ class DatasetRecording(Recording):
             self._notes.append(f"its numbers are read with {', '.join(texts)}")
         if self._dataset.dtype.kind == "b":
             self._notes.append("True and False are read as 1 and 0")
+
+    def _frames_are_first(self) -> bool:
+        """True if the first axis is that of the frames, as most programs write them: it is longer
+        than any side of a skin, or longer than those of a square.
+        """
+        arrays = self._arrays
+        axes = arrays.axes(self._key)
+        if not arrays.has_frames_first:
+            return False
+        # This program writes its own frames so.
+        if arrays.last_part(self._key) == FORCES:
+            return True
+        if not is_first_longest(axes):
+            return False
+        n_first, *sides = [axis.size for axis in axes if axis.size > 1]
+        is_stated = bool(self._layout.axes) or self._layout.n_stated is not None
+        if is_stated or len(sides) < 2 or n_first > MAX_ROWS:
+            return True
+        if len(axes) > 3 or len(set(sides)) > 1:
+            return False
+        # Of another order there are as many frames as rows: an accident, unless the numbers
+        # change more from frame to frame than from taxel to taxel.
+        size = frames_per_block(math.prod(sides))
+        begin = next(arrays.blocks(self._key, 0, max(2, size)))
+        along_frames, *along_others = _changes(np.squeeze(begin))
+        return along_frames <= MAX_RATIO * min(along_others)
 
     def _find_time_column(self) -> None:
         """Find the column of a table that holds the times, as in a table of text. Raises
@@ -360,6 +395,16 @@ class DatasetRecording(Recording):
         item_sides = [axis.size for axis in self._items]
         whole = np.broadcast_to(exists.reshape(sizes), item_sides)
         return whole.astype(np.bool_)
+
+
+def _changes(numbers: npt.NDArray[Any]) -> list[float]:
+    """Mean differences of neighbours along each axis of an array, 0 of an axis without any."""
+    changes = []
+    for axis in range(numbers.ndim):
+        steps = np.abs(np.diff(numbers.astype(np.float64), axis=axis))
+        known = steps[np.isfinite(steps)]
+        changes.append(float(known.mean()) if known.size else 0.0)
+    return changes
 
 
 def number_of(value: Any) -> float | None:

@@ -27,8 +27,9 @@ NEGATIVE_WAYS = (REFUSE, KEEP, ZERO, OFFSET, MASK)
 """Ways to treat readings below 0. The file is refused; they are kept; they become 0; the lowest
 reading is subtracted from all; or their taxels are masked."""
 ORDERS = ("rows", "columns")
-TIME_UNITS = ("", "ns", "us", "ms", "s", "clock")
-"""Units of times; clock: hours, minutes and seconds of a day, which begins again at midnight."""
+TIME_UNITS = ("", "ns", "us", "ms", "s", "d", "clock")
+"""Units of times; clock: hours, minutes and seconds of a day, which begins again at midnight; d:
+days, as a spreadsheet or MATLAB counts them."""
 AXES = ("frames", "rows", "cols", "taxels", "channel", "-")
 """Names of the axes of an array; -: an axis of one entry."""
 ENDS = ("first", "last")
@@ -132,7 +133,9 @@ class Layout(GridLayout):
         "messages, the time of recording",
     )
     time_unit: str = setting(
-        "", "unit of the times; clock: time of day, as 10:15:02.120", choices=TIME_UNITS
+        "",
+        "unit of the times; d: days, as of a spreadsheet; clock: time of day, as 10:15:02.120",
+        choices=TIME_UNITS,
     )
     time_wrap: int | None = setting(
         None,

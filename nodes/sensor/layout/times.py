@@ -22,6 +22,8 @@ CLOCK_UNIT = "clock"
 NS = {"ns": 1, "us": 10**3, "ms": 10**6, "s": 10**9, ISO: 1, CLOCK_UNIT: 1}
 NS |= {"min": 60 * 10**9, "h": 3600 * 10**9, "d": 86_400 * 10**9}
 """Nanoseconds of each unit. Stamps of ISO 8601 and times of day are read as nanoseconds."""
+UNITS = ("s", "ms", "us", "ns")
+"""Units that times have where nothing states it."""
 TIME_NAME = re.compile(
     r"[%_\s]*(?:field\.|header[._])*(t|ts|times?|times?_?stamps?|stamps?|date|date_?time|elapsed"
     r"|secs?|seconds|millis|micros|epoch|clock|time_?steps?)(?![a-z0-9])|[mnuµ]s\s*$"
@@ -63,16 +65,23 @@ FIRST_YEAR = 1998
 LAST_YEAR = 2103
 RATES_HZ = 0.1, 2000.0
 """Rates at which skins are read; chosen: of a bed a frame in 10 s, of boards 2 kHz."""
-OTHER_DATE = re.compile(
-    r"(?:(\d{1,2})\.(\d{1,2})\.(\d{4})|(\d{4})/(\d{1,2})/(\d{1,2}))(?=$|[ T])"
+DATE = re.compile(
+    r"(?:(?P<y>\d{4})[-/](?P<m>\d{1,2})[-/](?P<d>\d{1,2})"
+    r"|(?P<day>\d{1,2})[-. ](?P<month>\d{1,2}|[A-Za-z]{3})[-. ](?P<year>\d{4})"
+    r"|(?P<first>\d{1,2})/(?P<second>\d{1,2})/(?P<last>\d{4}))(?:$|[ T]+)"
 )
-"""Dates of one meaning; 3/12/2026 has two."""
+"""A date at the begin of a text. Of 3/12/2026 the order is that of the country."""
+MONTHS = "jan feb mar apr may jun jul aug sep oct nov dec".split()
 BASIC_DATE = re.compile(r"(\d{8})[T_ ]?(\d{6})(?:[.,]?(\d{1,9}))?")
 """Dates without separators, as 20260312T101502.120 or 20260312101502."""
 USUAL_WRAP = 1 << 32
 """Units of time until clocks of microcontrollers are 0 again."""
 DAY_NS = 86_400 * 10**9
-CLOCK = re.compile(r"(\d{1,2}):(\d{2}):(\d{2}(?:[.,]\d{1,9})?)")
+CLOCK = re.compile(
+    r"(\d{1,2}):([0-5]\d):([0-6]\d)(?:[.,](\d{1,9})|:(\d{3}))?(?:\s*([ap])\.?m\.?)?",
+    re.IGNORECASE,
+)
+"""A time of day, perhaps of 12 hours; LabVIEW has a colon before milliseconds."""
 
 
 def is_time_name(name: str) -> bool:
@@ -116,21 +125,24 @@ def are_likely(numbers: npt.NDArray[Any]) -> bool:
 
 
 def iso_ns(text: str) -> int | None:
-    """Nanoseconds since 1970 of a stamp of ISO 8601, or with a date as 12.03.2026, 2026/03/12 or
-    20260312101502, of UTC where it states no zone; None: none.
+    """Nanoseconds since 1970 of a stamp of ISO 8601, or with a date as 12.03.2026, 2026/03/12,
+    12-Mar-2026 or 20260312101502, of UTC where it states no zone; None: none.
     """
     basic = BASIC_DATE.fullmatch(text)
     if basic is not None:
         text = f"{basic[1]}T{basic[2]}.{basic[3] or 0}"
-    date = OTHER_DATE.match(text)
+    elif "-" not in text[1:] and "/" not in text and "." not in text:
+        return None  # most cells are whole numbers
+    date = DATE.match(text)
+    clock = None
     if date is not None:
-        time = text[date.end() :].replace(",", ".")
-        if date[3]:
-            day, month, year = date.group(1, 2, 3)
-        else:
-            year, month, day = date.group(4, 5, 6)
-        text = f"{year}-{int(month):02}-{int(day):02}{time}"
-    if basic is None and "-" not in text[1:]:
+        # The clock is read apart: it may have 12 hours, or nanoseconds.
+        time = text[date.end() :]
+        clock = clock_ns(time)
+        text = _iso_date(date, time)
+        if clock is None and time:
+            text += f"T{time.replace(',', '.')}"
+    elif basic is None:
         return None
 
     try:
@@ -143,7 +155,27 @@ def iso_ns(text: str) -> int | None:
     if not moment.tzinfo:
         moment = moment.replace(tzinfo=UTC)
     since_epoch = moment - datetime(1970, 1, 1, tzinfo=UTC)
-    return since_epoch // timedelta(microseconds=1) * 1000
+    return since_epoch // timedelta(microseconds=1) * 1000 + (clock or 0)
+
+
+def _iso_date(date: re.Match[str], time: str) -> str:
+    """A date as 2026-03-12; "" if it has several meanings, or none."""
+    parts = date.groupdict("")
+    year = parts["y"] or parts["year"] or parts["last"]
+    day = parts["d"] or parts["day"]
+    month = parts["m"] or parts["month"]
+    if month.lower() in MONTHS:
+        month = str(1 + MONTHS.index(month.lower()))
+    elif parts["last"]:
+        # Where a clock has 12 hours the month comes first; else a day above 12 shows it.
+        month, day = parts["first"], parts["second"]
+        if int(month) > 12:
+            month, day = day, month
+        elif int(day) <= 12 and not time.lower().rstrip(".").endswith("m"):
+            return ""
+    if not month.isdecimal():
+        return ""
+    return f"{year}-{int(month):02}-{int(day):02}"
 
 
 def clock_ns(text: str) -> int | None:
@@ -151,9 +183,19 @@ def clock_ns(text: str) -> int | None:
     match = CLOCK.fullmatch(text)
     if match is None:
         return None
-    seconds, _, fraction = match[3].replace(",", ".").partition(".")
-    whole_s = 3600 * int(match[1]) + 60 * int(match[2]) + int(seconds)
-    return whole_s * 10**9 + int(fraction.ljust(9, "0") or 0)
+    hour = int(match[1])
+    if match[6]:
+        if not 1 <= hour <= 12:
+            return None
+        hour = hour % 12 + 12 * (match[6] in "pP")
+    whole_s = 3600 * hour + 60 * int(match[2]) + int(match[3])
+    fraction = match[4] or match[5] or "0"
+    return whole_s * 10**9 + int(fraction.ljust(9, "0"))
+
+
+def dated_clock_ns(text: str) -> int | None:
+    """The same of a time of day that may stand behind a date, of any form."""
+    return clock_ns(DATE.sub("", text, count=1))
 
 
 def is_epoch(times: npt.NDArray[np.float64]) -> bool:
@@ -164,7 +206,7 @@ def is_epoch(times: npt.NDArray[np.float64]) -> bool:
 def epoch_unit(times: npt.NDArray[np.float64]) -> str:
     """The unit in which all numbers are dates since 1970; "" if there is none."""
     low_s, high_s = EPOCH_S
-    for unit in ("s", "ms", "us", "ns"):
+    for unit in UNITS:
         per_s = 1e9 / NS[unit]
         if (
             times.size
@@ -191,18 +233,17 @@ def unit_of(times: Sequence[float], where: str) -> str:
 
     median_step = float(np.median(steps))
     low_hz, high_hz = RATES_HZ
-    usual: dict[str, float] = {}
-    for unit in ("s", "ms", "us", "ns"):
-        rate_hz = 1e9 / (median_step * NS[unit])
-        if low_hz <= rate_hz <= high_hz:
-            usual[unit] = rate_hz
-    if len(usual) == 1:
+    rates = {unit: 1e9 / (median_step * NS[unit]) for unit in (*UNITS, "d")}
+    usual = {unit: rate for unit, rate in rates.items() if low_hz <= rate <= high_hz}
+    if len(usual) == 1 and "d" not in usual:
         return next(iter(usual))
     ways = " or ".join(
         f"time_unit={unit} ({rate:.4g} Hz)" for unit, rate in usual.items()
     )
-    hint = ways or "time_unit"
-    raise UnstatedError(f"{where}: the unit of the times is not stated: state {hint}")
+    fault = f"{where}: the unit of the times is not stated"
+    # Days, of a spreadsheet or of MATLAB, where nothing else is usual.
+    options = [{"time_unit": "d"}] if [*usual] == ["d"] else []
+    raise UnstatedError(f"{fault}: state {ways or 'time_unit'}", *options)
 
 
 @dataclass

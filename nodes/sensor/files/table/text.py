@@ -21,12 +21,24 @@ there sooner.
 """
 SEPARATORS = (";", "\t", ",", "|")
 PREFIX = re.compile(
-    r"\s*((?:\d{4}-\d\d-\d\d[ T])?[\d:.,]+)\s*(?:->|=>|:(?=\s*[\[(]))\s*"
+    r"\s*(?P<open>\[)?((?:\d{4}-\d\d-\d\d[ T])?[\d:.,]+)\s*"
+    r"(?(open)\]|(?:->|=>|:(?=\s*[\[(])))\s*(?![\],;])"
 )
-"""A time before the readings, as in "10:15:02.120 -> 1,2,3" or "0.25: [1, 2, 3]"."""
+"""A time before the readings, as in "10:15:02.120 -> 1,2,3", "[10:15:02.120] 1,2,3" or
+"0.25: [1, 2, 3]"."""
+LABEL = re.compile(r"\D[^,;|\t]*?[:>]\s*(?=[-+.\d])")
+"""A text before the readings that ends so, as in "I (120) SKIN: 1,2,3"."""
+NUMBER = re.compile(r"(?<![\w.])[-+]?\d+(?:\.\d*)?(?![\w.])")
+LIST = re.compile(r"(?:[A-Za-z_.]+\((?:'\w+',)?\s*)?\[([^\[\]]*)\](?:,\s*dtype=\w+)?\)?")
+"""A list of numbers, perhaps as Python prints an array of them."""
 BRACKETS = str.maketrans("", "", "[](){}")
-PAIR = re.compile(r"([A-Za-z_][\w.\[\]-]*)\s*[:=]\s*([^\s,;|]+)[\s,;|]*")
-"""A value behind its name, as in "t=120 s0=5" or "s0:5, s1:7"."""
+PAIR = re.compile(
+    r"([A-Za-z_][\w.\[\]-]*)\s*[:=]\s*([^\s,;|]+)"
+    r"(?:\s+[A-Za-zµ%°/²]+(?=\s*[,;|]|$))?[\s,;|]*"
+)
+"""A value behind its name, as in "t=120 s0=5" or "t: 20 ms, s0: 5"."""
+GROUPED = re.compile(r"[-+]?\d{1,3}(?:,\d{3})+(?:\.\d+)?")
+"""A number whose thousands are apart."""
 UTF_16 = (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)
 COMMENTS = ("#", "%", "//")
 
