@@ -26,7 +26,8 @@ UNITS = ("s", "ms", "us", "ns")
 """Units that times have where nothing states it."""
 TIME_NAME = re.compile(
     r"[%_\s]*(?:field\.|header[._])*(t|ts|times?|times?_?stamps?|stamps?|date|date_?time|elapsed"
-    r"|secs?|seconds|millis|micros|epoch|clock|time_?steps?)(?![a-z0-9])|[mnuµ]s\s*$"
+    r"|(?:milli|micro|nano|[mnuµ])?(?:secs?|seconds)|millis|micros|epoch|clock|time_?steps?)"
+    r"(?![a-z0-9])|[mnuµ]s\s*$"
 )
 """Begin of the name of a column or array of times, in small letters."""
 UNIT_NAME = re.compile(
@@ -49,8 +50,8 @@ LONG_UNITS = {
     **{"mins": "min", "minute": "min", "hour": "h", "hr": "h", "day": "d"},
 }
 RATE_NAME = re.compile(
-    r"(?:(?:sampl\w*|frame|scan|acquisition|capture|recording|data|log\w*) ?)?"
-    r"(?:rate|freq\w*)(?: in)?(?: hz| fps)?|fs(?: hz)?|fps"
+    r"(?:(?:sampl\w*|frame|scan|acquisition|capture|recording|data|log\w*|channel) ?)?"
+    r"(?:rates?|freq\w*)(?: in)?(?: hz| fps)?|fs(?: hz)?|fps"
 )
 PERIOD_NAME = re.compile(
     r"(?:seconds per frame|dt|ts|time ?step"
@@ -71,7 +72,10 @@ DATE = re.compile(
     r"|(?P<first>\d{1,2})/(?P<second>\d{1,2})/(?P<last>\d{4}))(?:$|[ T]+)"
 )
 """A date at the begin of a text. Of 3/12/2026 the order is that of the country."""
-MONTHS = "jan feb mar apr may jun jul aug sep oct nov dec".split()
+MONTHS = (
+    *("jan", "feb", "mar", "apr", "may", "jun"),
+    *("jul", "aug", "sep", "oct", "nov", "dec"),
+)
 BASIC_DATE = re.compile(r"(\d{8})[T_ ]?(\d{6})(?:[.,]?(\d{1,9}))?")
 """Dates without separators, as 20260312T101502.120 or 20260312101502."""
 USUAL_WRAP = 1 << 32
@@ -168,7 +172,8 @@ def _iso_date(date: re.Match[str], time: str) -> str:
         month = str(1 + MONTHS.index(month.lower()))
     elif parts["last"]:
         # Where a clock has 12 hours the month comes first; else a day above 12 shows it.
-        month, day = parts["first"], parts["second"]
+        month = parts["first"]
+        day = parts["second"]
         if int(month) > 12:
             month, day = day, month
         elif int(day) <= 12 and not time.lower().rstrip(".").endswith("m"):

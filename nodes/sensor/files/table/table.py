@@ -28,10 +28,15 @@ from sparseskin.nodes.sensor.layout.checks import (
 )
 from sparseskin.nodes.sensor.layout.layout import UnstatedError
 from sparseskin.nodes.sensor.layout.tally import Tally
-from sparseskin.nodes.sensor.layout.times import CLOCK_UNIT, ISO, clock_ns, iso_ns
+from sparseskin.nodes.sensor.layout.times import (
+    CLOCK_UNIT,
+    ISO,
+    dated_clock_ns,
+    iso_ns,
+)
 
 from .head import EXCEL_LINE, read_head
-from .sample import GRID, LONG, is_number
+from .sample import GRID, LONG, is_number, is_value
 from .text import COMMENTS, pieces
 
 HEXADECIMAL = re.compile(
@@ -85,7 +90,8 @@ class TableRecording(Recording):
         axes: tuple[Axis, ...] = (Axis(head.width, "columns", tuple(head.names)),)
         usable: tuple[int, ...] | None = head.usable
         if head.kind == GRID:
-            axes = (Axis(head.height, "rows"), Axis(head.width, "cols"))
+            width = head.width - head.n_labels
+            axes = (Axis(head.height, "rows"), Axis(width, "cols"))
             usable = None
         elif head.long is not None:
             axes = head.long.axes
@@ -187,12 +193,26 @@ class TableRecording(Recording):
             return "lines between frames"
         if is_cut and len(head.dialect.cells(text)) < head.width:
             return "cut last line"
+        # What a board prints while it starts.
+        if 0 in self._numbered and text[0].isalpha() and not self._holds_numbers(text):
+            return "lines of text"
         if head.source is not None:
             cells = head.dialect.cells(text)
             source = cells[head.source : head.source + 1]
             if source not in ([], [self._layout.frame_id]):
                 return "lines of other skins"
         return ""
+
+    @property
+    def _numbered(self) -> tuple[int | None, ...]:
+        """Columns whose cells do not begin with a letter."""
+        return (*self._head.numeric, self._head.time)
+
+    def _holds_numbers(self, text: str) -> bool:
+        """True if a line may be one of data, or a part of one."""
+        head = self._head
+        cells = head.dialect.cells(text)
+        return head.has_width(cells) or any(map(is_value, cells))
 
     def _is_grid_row(self, text: str) -> bool:
         """True if a line is one of a grid, perhaps with another number of cells: an error."""
@@ -309,12 +329,17 @@ class TableRecording(Recording):
         assert head.time is not None
         cell = cells[head.time]
         where = f"{self._place(line)}, time"
+        if is_missing(cell):
+            # Below the names may stand the numbers of samples, or gains.
+            fault = f"{where}: {shown(cell)} is not a number"
+            raise UnstatedError(fault, {"skip": line.number})
         if head.nanoseconds is not None:
             seconds = parse_number(cell, where, -1e10, 1e10)
             part_ns = parse_number(cells[head.nanoseconds], where, 0, 1e9)
             return round(seconds) * 10**9 + round(part_ns)
         if head.time_unit in (ISO, CLOCK_UNIT):
-            instant = iso_ns(cell) if head.time_unit == ISO else clock_ns(cell)
+            read = iso_ns if head.time_unit == ISO else dated_clock_ns
+            instant = read(cell)
             if instant is None:
                 fault = f"{shown(cell)} is no time as those before it"
                 raise SourceError(f"{where}: {fault}")
@@ -340,7 +365,8 @@ class TableRecording(Recording):
             n_whole = n_frames * height
             if n_frames:
                 self.tally.take(n_whole, n_frames)
-                yield Block(rows[:n_whole].reshape(n_frames, height, -1))
+                frames = rows[:n_whole].reshape(n_frames, height, -1)
+                yield Block(frames[:, :, self._head.n_labels :])
             rows = rows[n_whole:]
         self.tally.drop("lines of a cut last frame", len(rows))
 
@@ -387,7 +413,8 @@ class TableRecording(Recording):
             )
             sides = " x ".join(map(str, sizes))
             fault = f"{text} is outside {sides}, as of the first frame"
-            raise SourceError(f"{self._file.name}: {fault}")
+            way = "the lines of a frame have to follow each other: sort the file by its frames"
+            raise SourceError(f"{self._file.name}: {fault}; {way}")
 
         # Taxels that have no line in a frame are missing.
         shape = (len(begins), *sizes)

@@ -331,7 +331,9 @@ class TestNpy:
     def test_an_array_alone_has_a_unit_by_its_dtype_and_no_rate(
         self, tmp_path, dtype, unit
     ):
-        source = open_bytes(tmp_path, "skin.npy", npy((10 * FORCES).astype(dtype)), axes=AXES)
+        source = open_bytes(
+            tmp_path, "skin.npy", npy((10 * FORCES).astype(dtype)), axes=AXES
+        )
         assert source.skin.unit == unit
         assert any(unit in line for line in source.notes)
         assert any("100 Hz" in line for line in source.notes)

@@ -489,7 +489,8 @@ def treated(layout, folder):
 def test_invalid_readings_become_what_the_settings_say(
     tmp_path, nan, negative, expected, mask
 ):
-    source = treated(Layout(nan=nan, negative=negative, f_max=10.0), tmp_path)
+    shape = {"n_rows": 2, "n_cols": 2}
+    source = treated(Layout(nan=nan, negative=negative, f_max=10.0, **shape), tmp_path)
     readings = MissingReadings(nan, source.skin, learns=False)
     filled = [readings.fill(frame, 0) for frame in source.frames]
     assert [found and found[0].ravel().tolist() for found in filled] == expected
@@ -518,7 +519,11 @@ def test_a_sensor_counts_invalid_readings_in_its_log_and_report(tmp_path):
     np.save(tmp_path / "a.npy", BAD)
     lines = []
     chosen = SensorSettings(
-        source=f"file:{tmp_path / 'a.npy'}", nan="hold", negative="offset"
+        source=f"file:{tmp_path / 'a.npy'}",
+        nan="hold",
+        negative="offset",
+        n_rows=2,
+        n_cols=2,
     )
     sensor = Sensor(chosen, Context("sensor", ManualClock(0), lines.append))
     list(sensor.start())
