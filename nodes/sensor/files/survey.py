@@ -26,18 +26,23 @@ from sparseskin.nodes.sensor.missing import FILLED
 from .frames import Stamped
 
 DIGEST_BYTES = 8
+LOOK_BYTES = 1 << 22
+"""Frames of the begin of a file that is looked at, bytes; chosen: a table is read so far in half a
+second."""
 
 
 class Needs(NamedTuple):
     """What is needed of a recording before its first frame. `range`: the largest reading, where no
     range is stated; with `widens` that of its begin is enough, and a larger one widens the range
-    when it comes. `in_memory`: all frames are; they are decoded once.
+    when it comes. `in_memory`: all frames are; they are decoded once. `begin`: no more than the
+    begin of a file is read, of about `LOOK_BYTES`.
     """
 
     range: bool = True
     widens: bool = False
     digest: bool = False
     in_memory: bool = False
+    begin: bool = False
 
 
 class FrameStore:

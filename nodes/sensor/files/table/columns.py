@@ -46,8 +46,9 @@ RISING_LINES = 8
 EVEN_LINES = 4
 SAME_STEPS = 1.001
 """Least lines, and ratio of their steps, in which a column that nothing names looks like times."""
-MAX_UNEVEN = 4.0
-"""Largest step of times by the least one where there are fewer lines; chosen: a frame may be late."""
+MAX_UNEVEN = 5.0
+"""The same of a column at an end, where the shape shows that one is no taxel; chosen: a frame may
+be late."""
 SOURCE_WORDS = (
     *("side", "hand", "foot", "finger", "sensor", "sensor_id", "sensor_name", "device"),
     *("device_id", "skin", "patch", "mat", "board", "module"),
@@ -191,7 +192,8 @@ def _time_at_an_end(head: TableHead) -> int | None:
     # In a few lines a reading may rise, too, but not in even steps.
     are_clear = all(_rises(head.numbers(k), MAX_UNEVEN) for k in rising.values())
     if len(rising) > 1 or not are_clear:
-        fault = f"{head.name}: the {' and the '.join(rising)} column rise"
+        verb = "rise" if len(rising) > 1 else "rises"
+        fault = f"{head.name}: the {' and the '.join(rising)} column {verb}"
         raise UnstatedError.between(fault, "time", [*rising], "columns")
     # A column 0, 1, 2, ... may count the lines.
     for k in rising.values():

@@ -182,7 +182,8 @@ def _find_data(head: TableHead) -> None:
     counts = _count_columns(cells)
     # Labels may stand above each frame of a grid.
     rows = [line.cells[: head.width] for line in later if line.text != top.text]
-    is_labelled = bool(rows) and _are_labels(cells, rows)
+    is_repeated = counts and 0 < len(rows) < len(later)
+    is_labelled = is_repeated or (bool(rows) and _are_labels(cells, rows))
     is_labelled = is_labelled and (counts or not head.layout.axes)
     head.is_labelled = is_labelled
     if is_labelled or _is_header(cells, rows):
