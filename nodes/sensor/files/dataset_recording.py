@@ -19,7 +19,7 @@ from sparseskin.nodes.sensor.layout.checks import parse_number, shown
 from sparseskin.nodes.sensor.layout.roles import (
     CHANNEL,
     FRAMES,
-    is_first_longest,
+    is_first_apart,
     label_role,
     roles_of,
 )
@@ -48,6 +48,9 @@ from .table.columns import time_of_rows
 
 MAX_ROWS = 256
 """Longest side of a skin; chosen: mats and beds have up to 160 rows."""
+MAX_PART = 3
+"""Least length of the axis of the frames by that of a side; chosen: the other way round there would
+be a recording of fewer frames than a third of its rows."""
 MAX_RATIO = 1.5
 """Largest change from frame to frame by that between neighbouring taxels; chosen: four recordings
 have 0.15 to 0.83, and numbers in no order 1."""
@@ -225,7 +228,7 @@ class DatasetRecording(Recording):
 
     def _frames_are_first(self) -> bool:
         """True if the first axis is that of the frames, as most programs write them: it is longer
-        than any side of a skin, or longer than those of a square.
+        than any side of a skin, or many times the others, or these are a square.
         """
         arrays = self._arrays
         axes = arrays.axes(self._key)
@@ -234,19 +237,26 @@ class DatasetRecording(Recording):
         # This program writes its own frames so.
         if arrays.last_part(self._key) == FORCES:
             return True
-        if not is_first_longest(axes):
+        if not is_first_apart(axes):
             return False
-        n_first, *sides = [axis.size for axis in axes if axis.size > 1]
+        n_first = axes[0].size
+        sides = [axis.size for axis in axes[1:] if axis.size > 1]
         is_stated = bool(self._layout.axes) or self._layout.n_stated is not None
-        if is_stated or len(sides) < 2 or n_first > MAX_ROWS:
+        if (
+            is_stated
+            or len(sides) < 2
+            or n_first >= min(MAX_ROWS, MAX_PART * max(sides))
+        ):
             return True
         if len(axes) > 3 or len(set(sides)) > 1:
             return False
         # Of another order there are as many frames as rows: an accident, unless the numbers
         # change more from frame to frame than from taxel to taxel.
         size = frames_per_block(math.prod(sides))
-        begin = next(arrays.blocks(self._key, 0, max(2, size)))
-        along_frames, *along_others = _changes(np.squeeze(begin))
+        begin = next(arrays.blocks(self._key, 0, max(2, size)), None)
+        if begin is None:
+            return True
+        along_frames, *along_others = _changes(begin)
         return along_frames <= MAX_RATIO * min(along_others)
 
     def _find_time_column(self) -> None:
