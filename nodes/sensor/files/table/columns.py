@@ -223,7 +223,8 @@ def _ask_for_times(head: TableHead) -> None:
 
     A column whose name has a number, or that is stated, is a taxel; one that rises by 1 counts.
     """
-    if len(head.data) < EVEN_LINES:
+    n_least = EVEN_LINES if any(head.names) else RISING_LINES
+    if len(head.data) < n_least:
         return
     taxels = stated_columns(head.layout.columns, head.names, head.width, head.name)
     rising = []

@@ -129,7 +129,7 @@ class Dialect(NamedTuple):
 def split(line: str, separator: str) -> list[str]:
     """The cells of a line, without quotes and white space around them."""
     if separator == " ":
-        return line.split()
+        return line.replace('"', "").split()
     if '"' not in line:
         return [cell.strip() for cell in line.split(separator)]
     try:
@@ -252,6 +252,9 @@ def named_values(line: str) -> dict[str, str]:
     """
     values: dict[str, str] = {}
     if line.lstrip().startswith("{"):
+        # A dictionary as Python prints it has other quotes.
+        if '"' not in line:
+            line = line.replace("'", '"')
         try:
             # Numbers stay as they are written: whole ones of any size are exact.
             content = json.loads(
