@@ -152,6 +152,7 @@ class DatasetRecording(Recording):
         """Numbers as the attributes of their array state them: NaN for its fill value, times its
         scale, plus its offset. Source: CF conventions, sections 2.5 and 8.1.
         """
+        # Fill values are those of the stored numbers, before they are scaled.
         values = numbers.astype(np.float64)
         for name in FILL_VALUES:
             if name in self._packing:
@@ -306,6 +307,7 @@ class DatasetRecording(Recording):
 
     def _rate(self, notes: list[str]) -> float | None:
         """Frames per second that the file states, by the first of their names."""
+        # The name of this program's own files comes before those of others.
         rate_hz = self._number(RATE)
         if rate_hz is not None:
             return rate_hz
@@ -392,6 +394,7 @@ class DatasetRecording(Recording):
             forms = [mask, mask.T, mask.ravel(order)]
         exists = next((form for form in forms if form.shape == sides), None)
         if exists is None:
+            # Beside another program's array "mask" may be anything; beside ours it is one.
             if self._arrays.last_part(self._key) != FORCES:
                 notes.append(f"array {printable(path)} is no mask of a frame: not read")
                 return None
@@ -411,6 +414,7 @@ def _changes(numbers: npt.NDArray[Any]) -> list[float]:
     """Mean differences of neighbours along each axis of an array, 0 of an axis without any."""
     changes = []
     for axis in range(numbers.ndim):
+        # float64: unsigned counts would wrap.
         steps = np.abs(np.diff(numbers.astype(np.float64), axis=axis))
         known = steps[np.isfinite(steps)]
         changes.append(float(known.mean()) if known.size else 0.0)

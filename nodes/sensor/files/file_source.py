@@ -283,6 +283,7 @@ class RecordedSource(Source):
         highest = float(np.fmax.reduce(frames, axis=None))
         if highest <= self.skin.f_max:
             return
+        # By a quarter at least: a load that grows slowly would widen it with each frame.
         f_max = max(highest, MIN_WIDENING * self.skin.f_max)
         line = f"a reading is {highest:g}: the range is wider from there on, f_max={f_max:g}"
         self._lines.append(line)
@@ -487,6 +488,7 @@ def _range(frames: Frames, survey: Survey, treatment: Treatment) -> float:
 
 def _unit(frames: Frames) -> str:
     """Unit of the readings: stated, that of the file, or an assumption."""
+    # A unit that contradicts the file is refused: kPa read as N is a wrong force.
     setting = frames.layout.unit
     of_file = frames.head.unit
     check_unit(frames.name, of_file)

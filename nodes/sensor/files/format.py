@@ -121,6 +121,7 @@ def _recognised(file: File, fitting: list[Format]) -> list[Format]:
     """The formats that recognise the begin of a file, or else those that take every file."""
     begin = file.file.read(HEAD_BYTES)
     file.file.seek(0)
+    # A table of text has no marks of its own: it is what remains.
     for_all = [format_ for format_ in fitting if format_.recognises is None]
     sure = [form for form in fitting if form.recognises and form.recognises(begin)]
     return sure or for_all or fitting

@@ -205,6 +205,7 @@ class Frames:
         """Stamps of the next n frames at an even rate."""
         rate_hz = self.layout.rate_hz or self.head.rate_hz
 
+        # From the number of the frame, so that rounding does not add up.
         period_ns = UNTIMED_PERIOD_NS if rate_hz is None else 1e9 / rate_hz
         stamps = np.rint(np.arange(self.n_frames, self.n_frames + n) * period_ns)
         if stamps[-1] > INT64_MAX:
@@ -217,6 +218,7 @@ class Frames:
         that is not allowed.
         """
         layout = self.layout
+        # What float32 does not hold becomes infinite, and is refused below.
         with np.errstate(all="ignore"):
             frames: Floats = readings.astype(np.float32)
         for number in layout.missing_numbers:

@@ -97,6 +97,7 @@ class Survey:
 
     def add(self, frames: Floats, extremes: tuple[float, float] | None) -> None:
         """Add frames, and their lowest and highest reading; None: they hold NaN."""
+        # One pass gathers all that any treatment needs: a file of 2 GB is decoded once.
         self.n_frames += len(frames)
         if self.content is not None:
             self.content.update(np.ascontiguousarray(frames).data)
@@ -112,6 +113,7 @@ class Survey:
         self.lowest = min(self.lowest, lowest)
         self.highest = max(self.highest, highest)
 
+        # Most frames have none: no second pass over them.
         if lowest < 0:
             is_negative = frames < 0
             self.n_negative += int(np.count_nonzero(is_negative))
@@ -130,6 +132,7 @@ class Treatment:
         self._negative = layout.negative
         if raw and layout.negative == REFUSE:
             self._negative = KEEP
+        # A taxel is masked for all frames, so that its place never changes its meaning.
         gone = np.zeros(survey.shape, dtype=np.bool_)
         if layout.nan == MASK:
             gone |= ~survey.has_number

@@ -114,6 +114,7 @@ def rate_of(name: str, number: float, unit: str = "") -> float:
         return 0.0
     if RATE_NAME.fullmatch(words) and unit in RATE_UNITS:
         return number
+    # Programs state the rate, or its inverse.
     period = PERIOD_NAME.fullmatch(words)
     if period is None:
         return 0.0
@@ -231,6 +232,7 @@ def unit_of(times: Sequence[float], where: str) -> str:
     of_dates = epoch_unit(numbers)
     if of_dates:
         return of_dates
+    # A clock that is coarse repeats its times: these steps say nothing of the unit.
     steps = np.diff(numbers)
     steps = steps[steps > 0]
     if not steps.size:
@@ -297,6 +299,7 @@ class Stamps:
     def _rising(self, time_ns: int, where: str) -> int:
         """The stamp of a time, after the one before it."""
 
+        # A fall by more than half a turn is a turn; a smaller one is a frame out of order.
         fall_ns = self._last_time_ns - time_ns
         if self._turn_ns and fall_ns > self._turn_ns // 2:
             self._turns_ns += self._turn_ns
@@ -314,6 +317,7 @@ class Stamps:
             raise SourceError(text)
         self._last_time_ns = time_ns
 
+        # Stamps have to rise strictly, and a frame is not dropped for the clock of its logger.
         if time_ns <= self.last_ns:
             self.n_repeated += 1
             time_ns = self.last_ns + 1

@@ -89,6 +89,7 @@ def time_of_rows(
     width = rows.shape[1]
     head = TableHead(layout, where, Dialect(","), width, numeric=range(width))
     head.names = names or ("",) * width
+    # As texts, so that one set of rules finds times in tables and in arrays.
     for k, row in enumerate(rows[:MAX_ROWS].tolist()):
         head.data.append(Line(k, "", tuple(map(str, row))))
     return _time_column(head), head.notes
@@ -260,6 +261,7 @@ def counters(head: TableHead) -> list[int]:
     if not has_no_names or len(head.data) < 3 or len(head.numeric) < 2:
         return []
     counting = {word: k for word, k in _ends(head).items() if _counts(head.numbers(k))}
+    # Where both ends count, it is a test pattern.
     if len(counting) != 1:
         return []
     ((word, column),) = counting.items()
@@ -279,6 +281,7 @@ def source_column(head: TableHead) -> int | None:
     columns = [k for k, name in enumerate(head.names) if name.lower() in SOURCE_WORDS]
     if not head.layout.columns:
         columns += [k for k in range(head.width) if _takes_turns(head, k)]
+    # Two skins that are read as one would be a force that jumps with each frame.
     for k in columns:
         skins = list(dict.fromkeys(head.cells(k)))
         if frame_id in skins:
@@ -305,6 +308,7 @@ def _takes_turns(head: TableHead, k: int) -> bool:
     if is_place or not 1 < n <= MAX_SKINS or n == len(cells):
         return False
     if k in head.numeric:
+        # Numbers that repeat may be readings of a coarse converter; a round is no accident.
         goes_round = all(cell == skins[at % n] for at, cell in enumerate(cells))
         is_named = bool(head.names[k]) and not head.is_indexed(k)
         is_whole = all(map(str.isdecimal, skins))

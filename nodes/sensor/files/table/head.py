@@ -10,7 +10,7 @@ import numpy as np
 from sparseskin.nodes.errors import SourceError
 from sparseskin.nodes.sensor.files.recording import File
 from sparseskin.nodes.sensor.layout.checks import is_missing, shown
-from sparseskin.nodes.sensor.layout.layout import UnstatedError
+from sparseskin.nodes.sensor.layout.layout import UnstatedError, listed
 from sparseskin.nodes.sensor.layout.names import COL_WORDS, ROW_WORDS, pattern_of
 from sparseskin.nodes.sensor.layout.times import are_likely, is_time_name, rate_of
 
@@ -82,6 +82,7 @@ def read_head(file: File) -> TableHead:
     if head.kind == LINES:
         _ask_for_axes(head)
         head.source = source_column(head)
+    # What is found in the times has to be that of one skin.
     source = head.source
     if source is not None:
         skin = head.layout.frame_id
@@ -110,6 +111,7 @@ def _sampled(file: File) -> TableHead:
     if excel is not None:
         separator = excel[1]
         n_skipped = max(n_skipped, 1)
+    # The last two thirds: a preamble stands before them.
     bodies = [text for text in texts[n_skipped:] if _is_body(text)]
     if not bodies:
         raise SourceError(f"{file.name}: the recording holds no frame")
@@ -232,7 +234,7 @@ def _is_header(cells: Sequence[str], rows: Sequence[Sequence[str]]) -> bool:
         if not cell or is_value(cell):
             continue
         n_values = sum(is_value(row[k]) for row in rows)
-        # A single text above numbers is enough: a name.
+        # A single text above numbers is enough: a name. Others may be numbers, as of pandas.
         if 2 * n_values > len(rows):
             return True
     return False
@@ -335,6 +337,7 @@ def _find_numeric(head: TableHead) -> None:
     """Find the columns of which most cells that are not missing are numbers, and some is; and those
     of missing numbers alone that are named like these: taxels that are dead.
     """
+    # Most, not all: one damaged cell is refused where it stands, and hides no column.
     empty = []
     numeric = []
     markers = head.layout.missing_texts
@@ -493,6 +496,7 @@ def _find_rate(head: TableHead) -> None:
         if match is not None and line.number <= head.n_before:
             rate_hz = rate_of(match[1], float(match[2]), match[3].lower())
             rates[rate_hz] = line.text.strip()
+    # Several rates are those of several devices: none is chosen.
     rates.pop(0.0, None)
     if len(rates) == 1:
         ((head.rate_hz, text),) = rates.items()
@@ -532,7 +536,5 @@ def _note_texts(head: TableHead) -> None:
         head.notes += ("commas are decimal points",)
     texts = [k for k in range(head.width) if k not in head.numeric and k != head.time]
     if texts:
-        labels = ", ".join(head.label(k) for k in texts[:MAX_SHOWN])
-        if len(texts) > MAX_SHOWN:
-            labels += ", ..."
+        labels = listed([head.label(k) for k in texts])
         head.notes += (f"no numbers, and left out: column {labels}",)

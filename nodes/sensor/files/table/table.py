@@ -196,6 +196,7 @@ class TableRecording(Recording):
         # What a board prints while it starts.
         if 0 in self._numbered and text[0].isalpha() and not self._holds_numbers(text):
             return "lines of text"
+        # Counted by name: whoever states a skin sees how many lines are those of others.
         if head.source is not None:
             cells = head.dialect.cells(text)
             source = cells[head.source : head.source + 1]
@@ -226,6 +227,7 @@ class TableRecording(Recording):
         return is_reading and len(cells) == self._head.width
 
     def _parsed(self, lines: Sequence[DataLine]) -> Parsed:
+        # NumPy reads a block at once; what it refuses is read line by line, for the place.
         numbers = None
         if self._head.dialect.is_plain:
             numbers = self._numbers_of_plain([line.text for line in lines])
@@ -351,6 +353,7 @@ class TableRecording(Recording):
     def _grids(self) -> Iterator[Block]:
         """Frames of several lines; a block between other lines is a whole number of frames."""
         height = self._head.height
+        # A frame may begin in one piece of the file and end in the next.
         rows = np.empty((0, self._head.width))
         for lines, new_rows, _ in self._rows():
             for k, line in enumerate(lines):
@@ -416,7 +419,7 @@ class TableRecording(Recording):
             way = "the lines of a frame have to follow each other: sort the file by its frames"
             raise SourceError(f"{self._file.name}: {fault}; {way}")
 
-        # Taxels that have no line in a frame are missing.
+        # Taxels that have no line in a frame are missing: not 0, which would be a force.
         shape = (len(begins), *sizes)
         numbers = np.full(shape, np.nan)
         cells = np.ravel_multi_index((frame, *places.T.astype(np.intp)), shape)

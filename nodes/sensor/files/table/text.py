@@ -153,6 +153,7 @@ def pieces(file: IO[bytes], name: str) -> Iterator[Piece]:
     number = 1
     size = FIRST_PIECE_BYTES
     is_first = True
+    # The whole file is never in memory: it may be larger.
     while data := file.read(size):
         size = min(2 * size, PIECE_BYTES)
         if not data.endswith(b"\n"):
@@ -190,6 +191,7 @@ def dialect_of(lines: Sequence[str]) -> Dialect:
     if names:
         return Dialect(",", has_prefix=has_prefix, names=names)
     label = ""
+    # A text that differs from line to line is a name, as of a taxel, and stays.
     if not has_prefix:
         labels = (LABEL.match(body) for body in bodies)
         label = _usual(NUMBER.sub("#", found[0]) if found else "" for found in labels)
@@ -282,6 +284,7 @@ def _add_values(values: dict[str, str], name: str, content: Any) -> None:
         for k, entry in enumerate(content):
             _add_values(values, f"{name}[{k}]", entry)
     elif content is None:
+        # As an empty cell: a reading that is missing.
         values[name] = ""
     else:
         values[name] = str(content)
@@ -289,6 +292,7 @@ def _add_values(values: dict[str, str], name: str, content: Any) -> None:
 
 def _separator(lines: Sequence[str]) -> str:
     """The separator that stands in most lines."""
+    # Semicolons before commas, which may be decimal.
     for separator in SEPARATORS:
         n_lines = sum(separator in line for line in lines)
         is_decimal = separator == "," and _is_decimal(lines)
@@ -310,6 +314,7 @@ def _are_most(lines: Sequence[str], holds: Callable[[str], bool]) -> bool:
 
 
 def _decoded(data: bytes) -> str:
+    # By pieces: a degree sign of Latin-1 in a comment does not change the rest.
     try:
         return data.decode("utf-8")
     except UnicodeDecodeError:
