@@ -96,6 +96,7 @@ class DatasetRecording(Recording):
         ):
             columns = range(self._items[0].size)
             usable = tuple(k for k in columns if k != self._time_column)
+        # The title may say which skin it is, which nothing else does.
         notes = list(self._notes)
         title = self._attributes.get("long_name")
         if title:
@@ -274,6 +275,7 @@ class DatasetRecording(Recording):
         if not is_row or (is_decided and not layout.has_time_column):
             return
         (axis,) = self._items
+        # All columns are taxels, if the shape needs as many.
         if axis.size < 2 or layout.n_stated == axis.size:
             return
         begin = next(self._numbers(frames_per_block(axis.size)), None)
@@ -416,8 +418,8 @@ def _changes(numbers: npt.NDArray[Any]) -> list[float]:
     for axis in range(numbers.ndim):
         # float64: unsigned counts would wrap.
         steps = np.abs(np.diff(numbers.astype(np.float64), axis=axis))
-        known = steps[np.isfinite(steps)]
-        changes.append(float(known.mean()) if known.size else 0.0)
+        finite = steps[np.isfinite(steps)]
+        changes.append(float(finite.mean()) if finite.size else 0.0)
     return changes
 
 

@@ -157,6 +157,7 @@ class RecordedSource(Source):
         are missing are treated as stated: filled in by "zero" and "hold", else NaN. Frames without
         any reading are left out.
         """
+        # The array is handed over, not copied: half the memory.
         store = self._store
         assert store is not None
         self._store = None
@@ -257,6 +258,7 @@ class RecordedSource(Source):
         if self._is_begin:
             begin = f"the first {survey.n_frames} frames alone were read"
             lines.append(f"{begin}: import reads and checks all")
+        # An assumption is said where it is made, with what changes it.
         if not (self._layout.unit or frames.head.unit or self._raw):
             line = f"states no unit: taken as {self.skin.unit}; set unit where it is another"
             if self.skin.unit == COUNTS:
@@ -444,6 +446,7 @@ def _skin(frames: Frames, survey: Survey, treatment: Treatment) -> Skin:
     head = frames.head
     layout = frames.layout
     try:
+        # A mask of all cells is none: nothing is left out of messages for it.
         has_mask = frames.mask is not None and not frames.mask.all()
         skin = Skin(
             *frames.shape,

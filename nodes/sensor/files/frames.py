@@ -100,6 +100,7 @@ class Frames:
         if self.is_timed:
             stamps = Stamps(self.time_unit, self.layout.time_wrap)
         self.n_frames = 0
+        # The reader decodes; here its numbers become readings of taxels, at their time.
         for block in self.recording.blocks():
             frames = self._checked(self.arrangement.frames(block.numbers))
             if stamps is not None:
@@ -131,6 +132,7 @@ class Frames:
         elif self.head.is_timed:
             time_name = self.head.time_name or "those of each item"
             lines.append(f"times: {time_name}, not read, since a rate is stated")
+        # A logger with a coarse clock, or frames that were sent twice.
         if self.n_repeated:
             lines.append(
                 f"{self.n_repeated} times repeat the one before: 1 ns later each"
@@ -271,6 +273,7 @@ class Frames:
         place = self._place(readings, below)
         ways = f"state negative={KEEP}, zero, offset or mask"
 
+        # Noise has many values; a code for "no reading" has one.
         is_marker = values.size == 1 and other_readings.size > 0
         marker = float(values[0])
         if is_marker and other_readings.min() > marker + ISOLATED * abs(marker):

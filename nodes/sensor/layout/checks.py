@@ -60,6 +60,7 @@ def choose(
     """
     if stated in candidates:
         return stated
+    # A bag may have hundreds of topics; an error is one line.
     examples = islice(candidates.items(), MAX_EXAMPLES)
     texts = ", ".join(
         f"{printable(candidate)} ({about})" for candidate, about in examples

@@ -48,6 +48,7 @@ def select(
     several families the only ones that fill the stated shape; of x, y and z the normal one.
     Raises SourceError if there are none, UnstatedError if there are several ways.
     """
+    # What is stated is not doubted: a text column among them is refused at its first cell.
     if layout.columns.strip():
         columns = stated_columns(layout.columns, names, len(names), where)
         channel = layout.channel.lower()

@@ -128,6 +128,7 @@ def _labelled(layout: Layout, axes: Sequence[Axis], has_frames: bool) -> list[Ro
     of preference.
     """
     stated = layout.axis_names
+    # Labels of the file hold where nothing is stated.
     if not stated:
         possible = _assignments(axes, has_frames)
         return [roles for roles in possible if _allow(axes, roles)]
@@ -157,6 +158,7 @@ def _are_sound(axes: Sequence[Axis], roles: Roles) -> bool:
 
 def _assignments(axes: Sequence[Axis], has_frames: bool) -> Iterator[Roles]:
     """Roles of all axes, in order of preference."""
+    # None: the array is one frame, as of a file for each.
     frame_axes: list[int | None] = [None]
     if has_frames:
         frame_axes = [*range(len(axes)), None]
@@ -266,6 +268,7 @@ def _has_shape(layout: Layout, sizes: dict[str, int]) -> bool:
             return True
         is_high = n_rows == (layout.n_rows or n_rows)
         return is_high and n_cols == (layout.n_cols or n_cols)
+    # A row may hold more than taxels, where these or the times are stated apart.
     n = sizes.get(TAXELS, 1)
     if layout.columns or layout.has_time_column:
         return n >= (n_stated or 1)

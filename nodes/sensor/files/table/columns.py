@@ -164,6 +164,7 @@ def _other_texts(head: TableHead) -> int | None:
     for k, name in enumerate(head.names):
         cells = head.cells(k)
         is_named = bool(name) and is_time_name(name)
+        # Not dropped: stamps of even steps in place of these would look like a measurement.
         if k in head.numeric or not (is_named or all(map(TIME_LIKE.search, cells))):
             continue
         are_dated = all(dated_clock_ns(cell) is not None for cell in cells)

@@ -20,7 +20,6 @@ from .sample import (
     GRID,
     LINES,
     LONG,
-    MAX_SHOWN,
     TAXEL_WORDS,
     Line,
     LongColumns,
@@ -312,20 +311,21 @@ def _name_by_line_before(head: TableHead, first_number: int) -> None:
     """Names of columns in the line before the data: a comment, as np.savetxt writes it, or a line
     of one name more, of a last column that is empty, or one less, of an index.
     """
-    before = [line for line in head.raw if line.number < first_number]
-    before = [line for line in before if line.text.strip()]
-    if not before:
+    earlier = [line.text for line in head.raw if line.number < first_number]
+    earlier = [text for text in earlier if text.strip()]
+    if not earlier:
         return
-    text = before[-1].text.strip()
+    text = earlier[-1].strip()
     is_comment = text.startswith(COMMENTS)
     names = head.dialect.cells(text.lstrip("#%/ ") if is_comment else text)
     n_indexed = sum(bool(re.search(r"\d", name)) for name in names)
+    # A title of so many words has no numbers in most of them.
     are_words = all(re.fullmatch(r'"?[A-Za-z_][\w.]*"?', name) for name in names)
     if not is_comment and are_words and 2 * n_indexed > len(names):
         if len(names) == head.width - 1:
             names = ["", *names]
         names = names[: max(head.width, len(names) - 1)]
-        head.header = before[-1].text
+        head.header = earlier[-1]
     has_names = n_indexed or any(map(is_time_name, names))
     if len(names) == head.width and has_names and not any(map(is_number, names)):
         head.names = tuple(names)

@@ -153,6 +153,7 @@ class TableRecording(Recording):
         for piece in pieces(file, name):
             lines: list[DataLine] = []
             last_number = piece.number + len(piece.lines) - 1
+            # Each line is data, or is counted under a name.
             for number, text in enumerate(piece.lines, start=piece.number):
                 if number <= n_before:
                     label = self._before_as(text, number)
@@ -335,6 +336,7 @@ class TableRecording(Recording):
             # Below the names may stand the numbers of samples, or gains.
             fault = f"{where}: {shown(cell)} is not a number"
             raise UnstatedError(fault, {"skip": line.number})
+        # Python's whole numbers: float64 has no nanoseconds since 1970.
         if head.nanoseconds is not None:
             seconds = parse_number(cell, where, -1e10, 1e10)
             part_ns = parse_number(cells[head.nanoseconds], where, 0, 1e9)

@@ -83,15 +83,15 @@ class Dialect(NamedTuple):
 
     def cells(self, line: str) -> list[str]:
         """The cells of a line."""
-        before: list[str] = []
+        prefix: list[str] = []
         if self.has_prefix:
             matched = PREFIX.match(line)
-            before = [matched[2].strip() if matched else ""]
+            prefix = [matched[2].strip() if matched else ""]
             line = line[matched.end() :] if matched else line
         elif self.label:
             matched = LABEL.match(line)
             if matched and NUMBER.sub("#", matched[0]) == self.label:
-                before = NUMBER.findall(matched[0])
+                prefix = NUMBER.findall(matched[0])
                 line = line[matched.end() :]
         if self.names:
             values = named_values(line)
@@ -101,7 +101,7 @@ class Dialect(NamedTuple):
             cells = self._values(line)
         if self.comma is not None:
             cells = [cell.replace(",", self.comma) for cell in cells]
-        return before + cells
+        return prefix + cells
 
     def _values(self, line: str) -> list[str]:
         """The cells of what stands behind a prefix; those of a list are apart."""
@@ -116,7 +116,7 @@ class Dialect(NamedTuple):
                     for name, size in zip(names, self.lists, strict=True)
                     for k in range(size or 1)
                 ]
-        line = LIST.sub(lambda found: self._joined(found[1]), line)
+        line = LIST.sub(lambda match: self._joined(match[1]), line)
         line = line.translate(BRACKETS).replace('"', "")
         if self.separator == " ":
             line = line.replace(",", " ")
@@ -193,8 +193,8 @@ def dialect_of(lines: Sequence[str]) -> Dialect:
     label = ""
     # A text that differs from line to line is a name, as of a taxel, and stays.
     if not has_prefix:
-        labels = (LABEL.match(body) for body in bodies)
-        label = _usual(NUMBER.sub("#", found[0]) if found else "" for found in labels)
+        matches = (LABEL.match(body) for body in bodies)
+        label = _usual(NUMBER.sub("#", m[0]) if m else "" for m in matches)
         bodies = [LABEL.sub("", body, count=1) for body in bodies] if label else bodies
     has_brackets = _are_most(
         bodies, lambda line: re.search(r"[\[({]\s*[-+.\d]", line) is not None
@@ -227,7 +227,7 @@ def _list_sizes(line: str, separator: str) -> Iterator[int]:
     """Sizes of the lists in the cells of a line, 0 of a cell that is none."""
     mark = "\1"
     marked = LIST.sub(
-        lambda found: mark * len(found[1].replace(",", " ").split()), line
+        lambda match: mark * len(match[1].replace(",", " ").split()), line
     )
     for cell in split(marked, separator):
         yield cell.count(mark)
