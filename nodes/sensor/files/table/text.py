@@ -8,6 +8,7 @@ import json
 import re
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Sequence
+from itertools import chain
 from typing import IO, Any, NamedTuple, TypeVar
 
 from sparseskin.nodes.errors import SourceError
@@ -111,11 +112,11 @@ class Dialect(NamedTuple):
             # A header: the name of a list is that of its entries.
             names = split(line, self.separator)
             if len(names) == len(self.lists):
-                return [
-                    f"{name}[{k}]" if size else name
+                entries = [
+                    [f"{name}[{k}]" for k in range(size)] or [name]
                     for name, size in zip(names, self.lists, strict=True)
-                    for k in range(size or 1)
                 ]
+                return list(chain.from_iterable(entries))
         line = LIST.sub(lambda match: self._joined(match[1]), line)
         line = line.translate(BRACKETS).replace('"', "")
         if self.separator == " ":
