@@ -201,20 +201,14 @@ def dialect_of(lines: Sequence[str]) -> Dialect:
         bodies, lambda line: re.search(r"[\[({]\s*[-+.\d]", line) is not None
     )
     separator = _separator(bodies)
-    lists: tuple[int, ...] = ()
-    if has_brackets:
-        if separator == " " and any("," in body for body in bodies):
-            separator = ","
-        lists = _usual(tuple(_list_sizes(body, separator)) for body in bodies)
-    return Dialect(
-        separator,
-        None if has_brackets else _comma(bodies, separator),
-        has_prefix,
-        label,
-        has_brackets,
-        any('"' in line for line in lines),
-        lists=lists if any(lists) else (),
-    )
+    has_quotes = any('"' in line for line in lines)
+    dialect = Dialect(separator, None, has_prefix, label, has_brackets, has_quotes)
+    if not has_brackets:
+        return dialect._replace(comma=_comma(bodies, separator))
+    if separator == " " and any("," in body for body in bodies):
+        separator = ","
+    lists = _usual(tuple(_list_sizes(body, separator)) for body in bodies)
+    return dialect._replace(separator=separator, lists=lists if any(lists) else ())
 
 
 def _usual(values: Iterable[_Any]) -> _Any:
