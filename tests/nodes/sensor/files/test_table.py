@@ -538,7 +538,7 @@ def test_a_sensor_counts_invalid_readings_in_its_log_and_report(tmp_path):
 
 def test_a_look_reads_the_begin_alone_and_says_so(tmp_path, monkeypatch):
     monkeypatch.setattr(file_source, "LOOK_BYTES", 100_000)
-    lines = [f"{k},{k % 7},{k % 5},{k % 3}\n" for k in range(60_000)]
+    lines = [f"{k % 11},{k % 7},{k % 5},{k % 3}\n" for k in range(60_000)]
     (tmp_path / "log.csv").write_text("".join(lines) + "1,2\n")
     layout = Layout(n_rows=2, n_cols=2, unit="counts", time="none")
     source = open_file(tmp_path / "log.csv", layout, needs=Needs(begin=True))
