@@ -195,7 +195,7 @@ class TableRecording(Recording):
         if is_cut and len(head.dialect.cells(text)) < head.width:
             return "cut last line"
         # What a board prints while it starts.
-        if 0 in self._numbered and text[0].isalpha() and not self._holds_numbers(text):
+        if text[0].isalpha() and not self._may_be_data(text):
             return "lines of text"
         # Counted by name: whoever states a skin sees how many lines are those of others.
         if head.source is not None:
@@ -205,14 +205,11 @@ class TableRecording(Recording):
                 return "lines of other skins"
         return ""
 
-    @property
-    def _numbered(self) -> tuple[int | None, ...]:
-        """Columns whose cells do not begin with a letter."""
-        return (*self._head.numeric, self._head.time)
-
-    def _holds_numbers(self, text: str) -> bool:
-        """True if a line may be one of data, or a part of one."""
+    def _may_be_data(self, text: str) -> bool:
+        """True if a line that begins with a letter may be one of data, or a part of one."""
         head = self._head
+        if 0 not in (*head.numeric, head.time):
+            return True
         cells = head.dialect.cells(text)
         return head.has_width(cells) or any(map(is_value, cells))
 
