@@ -16,6 +16,11 @@ class SparseskinError(Exception):
         return "\n".join(map(printable, lines))
 
 
+def not_installed(package: str, extra: str) -> str:
+    """The fault that a package is missing, and the command that installs it: that of an extra."""
+    return f"{package} is not installed: pip install 'sparseskin[{extra}]'"
+
+
 class SettingsError(SparseskinError):
     """A setting is unknown, of the wrong type or out of its range."""
 

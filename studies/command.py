@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from sparseskin.launch.commands.options import rare, whole
-from sparseskin.nodes.errors import SettingsError
+from sparseskin.nodes.errors import SettingsError, not_installed
 from sparseskin.nodes.extensions import STUDIES as GROUP
 from sparseskin.nodes.extensions import failures, loaded
 from sparseskin.nodes.lookup import find_callable, nearest_of
@@ -218,11 +218,8 @@ def _check_packages(name: str) -> None:
     """Raise SettingsError if a package that studies need is not installed."""
     absent = [package for package in EXTRA if find_spec(package) is None]
     if absent:
-        verb = "is" if len(absent) == 1 else "are"
-        missing = f"{', '.join(absent)} {verb} not installed"
-        raise SettingsError(
-            f"study {name}: {missing}: pip install 'sparseskin[charts]'"
-        )
+        # One command installs them all.
+        raise SettingsError(f"study {name}: {not_installed(absent[0], 'charts')}")
 
 
 def _options_of(

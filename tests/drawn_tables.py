@@ -18,7 +18,9 @@ TIMES = [
     "ts",
     "micros",
 ]
-TIMES += ["date", "datetime"]
+TIMES += ["date", "datetime", "Time", "Timestamp", "date_time"]
+SPACED = ["ts", "Time", "Timestamp", "date_time"]
+"""Times with spaces."""
 START = datetime(2026, 3, 1, 9, 30, tzinfo=UTC)
 
 
@@ -49,6 +51,9 @@ def _times(draw, n):
         "ts": [moment.strftime("%d.%m.%Y %H:%M:%S.%f") for moment in moments],
         "date": [moment.strftime("%Y%m%dT%H%M%S.%f") for moment in moments],
         "datetime": [moment.strftime("%Y%m%d%H%M%S.%f") for moment in moments],
+        "Time": [moment.strftime("%I:%M:%S.%f %p") for moment in moments],
+        "Timestamp": [moment.strftime("%m/%d/%Y %I:%M:%S.%f %p") for moment in moments],
+        "date_time": [moment.strftime("%d-%b-%Y %H:%M:%S.%f") for moment in moments],
         "micros": [str((1000 * each - 50_000) % 2**32) for each in ms],
     }
     return texts[kind], kind, None if kind == "none" else ms / 1000
@@ -98,11 +103,11 @@ def tables(draw):
         columns.insert(place, texts)
         header.insert(place, time_name)
 
-    separators = [",", ";", "\t"] if time_name == "ts" else [",", ";", "\t", " "]
+    separators = [",", ";", "\t"] if time_name in SPACED else [",", ";", "\t", " "]
     separator = draw(st.sampled_from(separators))
     if separator == " ":
         header = [name.replace(" ", "_") for name in header]
-    has_comma = separator == ";" and draw(st.booleans())
+    has_comma = separator == ";" and time_name != "ts" and draw(st.booleans())
     end = draw(st.sampled_from(["\n", "\r\n"]))
     tail = separator if separator != " " and draw(st.booleans()) else ""
     rows = [separator.join(cells) + tail for cells in zip(*columns, strict=True)]
@@ -120,6 +125,9 @@ def tables(draw):
         lines = settings * (len(header) > 2) + lines
     if is_named and draw(st.booleans()):
         lines.insert(draw(st.integers(0, len(lines))), "")
+    if draw(st.booleans()):
+        # What a board prints when it starts again.
+        lines.insert(draw(st.integers(is_named, len(lines))), "rebooted")
     if separator == "," and draw(st.booleans()):
         lines.insert(0, "sep=,")
     stated = {"n_rows": n_rows, "n_cols": n_cols, "unit": "counts"}
@@ -164,3 +172,72 @@ def transposed_tables(draw):
     return DrawnTable(
         text, readings.reshape(n, n_rows, n_cols).astype("f4"), seconds, stated
     )
+
+
+@st.composite
+def logs(draw):
+    """A `DrawnTable` whose lines have a time or a text before the readings, or these in a list."""
+    n_rows, n_cols = draw(st.integers(1, 4)), draw(st.integers(2, 5))
+    n = draw(st.integers(4, 12))
+    rng = np.random.default_rng(draw(st.integers(0, 2**32 - 1)))
+    readings = rng.integers(1, 1000, (n, n_rows * n_cols))
+    readings[-1] = readings[0] - 1
+    moments = [START + timedelta(milliseconds=20 * k) for k in range(n)]
+    lists = [", ".join(map(str, frame)) for frame in readings]
+    clocks = [moment.strftime("%H:%M:%S.%f") for moment in moments]
+    kind = draw(st.sampled_from(["stamp", "label", "list", "array", "numpy", "pairs"]))
+    if kind == "label":
+        lines = [f"I ({100 + 20 * k}) SKIN: {cells}" for k, cells in enumerate(lists)]
+    elif kind == "stamp":
+        lines = [
+            f"[{clock}] {cells}" for clock, cells in zip(clocks, lists, strict=True)
+        ]
+    elif kind == "pairs":
+        pairs = [
+            ", ".join(f"s{k}: {reading} mV" for k, reading in enumerate(frame))
+            for frame in readings
+        ]
+        lines = [f"t: {20 * k} ms, {text}" for k, text in enumerate(pairs)]
+    else:
+        form = {"list": '"[{}]"', "array": "\"array('H', [{}])\"", "numpy": "[{}]"}[
+            kind
+        ]
+        if kind == "numpy":
+            lists = [cells.replace(",", "") for cells in lists]
+        lists = [form.format(cells) for cells in lists]
+        lines = [
+            f"{clock},{cells},97" for clock, cells in zip(clocks, lists, strict=True)
+        ]
+        lines.insert(0, "clock,pressure,battery")
+    seconds = 0.02 * np.arange(n)
+    stated = {"n_rows": n_rows, "n_cols": n_cols, "unit": "counts"}
+    if kind in ("label", "pairs"):
+        stated |= {"time": "1", "time_unit": "ms"}
+    frames = readings.reshape(n, n_rows, n_cols).astype("f4")
+    return DrawnTable("\n".join(lines) + "\n", frames, seconds, stated)
+
+
+@st.composite
+def grids(draw):
+    """A `DrawnTable` of blocks of lines, perhaps with the numbers of rows and columns."""
+    n_rows, n_cols = draw(st.integers(2, 5)), draw(st.integers(3, 5))
+    n = draw(st.integers(2, 6))
+    rng = np.random.default_rng(draw(st.integers(0, 2**32 - 1)))
+    frames = rng.integers(1, 1000, (n, n_rows, n_cols))
+    frames[0, 0, 0] = 999
+    begin = draw(st.integers(0, 1))
+    has_labels = draw(st.booleans())
+    has_positions = has_labels and draw(st.booleans())
+    positions = ",".join(["", *(str(begin + k) for k in range(n_cols))])
+    lines = []
+    for frame in frames:
+        if has_positions:
+            lines.append(positions)
+        for k, row in enumerate(frame):
+            label = [str(begin + k)] if has_labels else []
+            lines.append(",".join([*label, *map(str, row)]))
+        lines.append("")
+    stated = {"unit": "counts"}
+    if draw(st.booleans()):
+        stated |= {"n_rows": n_rows, "n_cols": n_cols}
+    return DrawnTable("\n".join(lines), frames.astype("f4"), None, stated)

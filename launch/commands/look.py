@@ -19,6 +19,7 @@ from sparseskin.nodes.recorder.bag.format import FILE_SUFFIX
 from sparseskin.nodes.sensor.files.file_source import located, open_file
 from sparseskin.nodes.sensor.files.format import recording_of
 from sparseskin.nodes.sensor.files.recording import Block, File, Head
+from sparseskin.nodes.sensor.files.survey import Needs
 from sparseskin.nodes.sensor.layout.checks import reading
 from sparseskin.nodes.sensor.layout.layout import EMPTY, KEYS, Layout, UnstatedError
 
@@ -152,12 +153,11 @@ def _times(head: Head, layout: Layout) -> str:
 
 
 def _frame_lines(name: str, layout: Layout) -> list[str]:
-    """What all of the file shows."""
-    source = open_file(name, layout)
+    """What the frames show: those of the begin, of a large file."""
+    source = open_file(name, layout, needs=Needs(begin=True))
     skin = source.skin
     sample = islice(source, MAX_STEPS)
     first_ns, forces = next(sample)
-    # The frames are not kept: of a large file each pass decodes it.
     stamps_ns = [first_ns, *(stamp_ns for stamp_ns, _ in sample)]
     taxels = f"{skin.n_rows} x {skin.n_cols}"
     if skin.mask is not None:

@@ -18,7 +18,7 @@ from importlib.util import find_spec, module_from_spec
 from pathlib import Path
 from typing import Any, TypeVar
 
-from sparseskin.nodes.errors import SettingsError, SparseskinError
+from sparseskin.nodes.errors import SettingsError, SparseskinError, not_installed
 from sparseskin.nodes.files import check_private
 from sparseskin.nodes.lookup import did_you_mean, one_line
 
@@ -26,8 +26,9 @@ FAST = ("auto", "on", "off")
 ENVIRONMENT = "SPARSESKIN_FAST"
 """Environment variable that replaces "auto": "off" for numpy alone."""
 
-REMEDY = "pip install 'sparseskin[fast]'"
-NOT_INSTALLED = f"compiled loops: none without numba, several times slower; {REMEDY}"
+NOT_INSTALLED = (
+    f"compiled loops: none, several times slower; {not_installed('numba', 'fast')}"
+)
 NOT_IMPORTED = "compiled loops: numba cannot be imported; numpy is used"
 BLAS = "scipy.linalg.cython_blas"
 """Module through which compiled loops call BLAS."""
@@ -52,7 +53,7 @@ def check_fast(fast: str) -> str:
         raise SettingsError(f"{name}: {fault}; allowed: {', '.join(FAST)}")
     installed = fast == "off" or find_spec("numba") is not None
     if fast == "on" and not installed:
-        raise SettingsError(f"{name}: 'on' needs numba: {REMEDY}")
+        raise SettingsError(f"{name}: 'on': {not_installed('numba', 'fast')}")
     return fast if installed else "off"
 
 

@@ -6,6 +6,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 from sparseskin.messages.text import printable
+from sparseskin.nodes.errors import not_installed
 from sparseskin.nodes.sensor.source import Address, Listing
 
 from .can_port import can_channels
@@ -88,8 +89,7 @@ def _texts_of_ports() -> dict[str, str]:
     try:
         from serial.tools.list_ports import comports
     except ImportError:
-        missing = "pyserial is not installed: pip install 'sparseskin[serial]'"
-        return dict.fromkeys(devices, missing)
+        return dict.fromkeys(devices, not_installed("pyserial", "serial"))
 
     texts = dict.fromkeys(devices, "")
     names = {device: name for name, device in devices.items()}

@@ -7,7 +7,7 @@ from abc import ABC, abstractmethod
 from types import ModuleType
 from typing import Any
 
-from sparseskin.nodes.errors import NotHereError
+from sparseskin.nodes.errors import NotHereError, not_installed
 
 from .framing import Counts, Frame, Framing
 
@@ -61,5 +61,4 @@ def needed_module(name: str, package: str, extra: str) -> ModuleType:
     try:
         return importlib.import_module(name)
     except ImportError as error:
-        command = f"pip install 'sparseskin[{extra}]'"
-        raise NotHereError(f"{package} is not installed: {command}") from error
+        raise NotHereError(not_installed(package, extra)) from error

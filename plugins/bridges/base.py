@@ -19,7 +19,7 @@ from sparseskin.messages import (
     topic_of,
 )
 from sparseskin.messages.topics import split_topic
-from sparseskin.nodes.errors import SettingsError, SparseskinError
+from sparseskin.nodes.errors import SettingsError, SparseskinError, not_installed
 from sparseskin.nodes.lookup import did_you_mean
 from sparseskin.nodes.node import Context, Node
 from sparseskin.nodes.numerics.arrays import Floats
@@ -86,7 +86,7 @@ def check_installed(
         if find_spec(module) is None:
             # Most packages are imported by the name under which they are installed.
             package = {"foxglove": "foxglove-sdk"}.get(module, module)
-            raise error(f"{what} needs {package}; pip install 'sparseskin[{extra}]'")
+            raise error(f"{what}: {not_installed(package, extra)}")
 
 
 def point_columns(

@@ -15,7 +15,7 @@ import numpy as np
 
 from sparseskin.messages.frames import Measurements, Reconstruction
 from sparseskin.messages.labels import MAX_LABEL
-from sparseskin.nodes.errors import SettingsError
+from sparseskin.nodes.errors import SettingsError, not_installed
 from sparseskin.nodes.lookup import find_callable, one_line
 from sparseskin.nodes.numerics.arrays import Doubles, Floats
 
@@ -99,8 +99,8 @@ def _unpickled(path: Path) -> Any:
         # The only place where a file is unpickled: the user has named it, and it is his.
         import joblib  # noqa: TID251
     except ImportError as error:
-        command = "pip install 'sparseskin[tasks]'"
-        raise SettingsError(f"{path}: joblib is not installed: {command}") from error
+        fault = not_installed("joblib", "tasks")
+        raise SettingsError(f"{path}: {fault}") from error
     try:
         return joblib.load(path)
     except Exception as error:

@@ -12,7 +12,7 @@ import numpy as np
 
 from sparseskin.messages.fields import MAX_SIDE
 from sparseskin.messages.ranges import is_real
-from sparseskin.nodes.errors import SourceError
+from sparseskin.nodes.errors import SourceError, not_installed
 from sparseskin.nodes.lookup import did_you_mean
 from sparseskin.nodes.process.isolation import output_of
 from sparseskin.nodes.sensor.layout.arrangement import check_grid, check_stated_shape
@@ -20,7 +20,7 @@ from sparseskin.nodes.sensor.scenes.scenes import SKIN
 
 MUJOCO = "mujoco:"
 FORM = "mujoco:MODEL.xml#SITE"
-INSTALL = "MuJoCo models need mujoco; pip install 'sparseskin[mujoco]'"
+INSTALL = not_installed("mujoco", "mujoco")
 SUFFIXES = (".xml", ".mjb")
 LEAST_STEP_S = 1e-6
 LONGEST_STEP_S = 0.1

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from sparseskin.nodes.errors import SourceError
+from sparseskin.nodes.errors import SourceError, not_installed
 from sparseskin.nodes.numerics.array_files import MAX_GROWN_BYTES, MAX_GROWTH
 from sparseskin.nodes.sensor.files.dataset_recording import DatasetRecording, text_of
 from sparseskin.nodes.sensor.files.datasets import (
@@ -124,8 +124,8 @@ class Hdf5File(ArrayFile):
         try:
             import h5py
         except ImportError as error:
-            needed = 'HDF5 needs h5py; pip install "sparseskin[hdf5]"'
-            raise SourceError(f"{self.name}: {needed}") from error
+            fault = not_installed("h5py", "hdf5")
+            raise SourceError(f"{self.name}: {fault}") from error
 
         try:
             with h5py.File(self._file, "r") as opened:

@@ -22,7 +22,7 @@ import numpy.typing as npt
 import zstandard
 
 from sparseskin.messages.text import printable
-from sparseskin.nodes.errors import SourceError
+from sparseskin.nodes.errors import SourceError, not_installed
 from sparseskin.nodes.numerics.array_files import MAX_GROWN_BYTES, MAX_GROWTH
 from sparseskin.nodes.sensor.files.dataset_recording import DatasetRecording
 from sparseskin.nodes.sensor.files.datasets import MAX_ARRAYS, ArrayFile, Dataset
@@ -454,8 +454,6 @@ def _blosc(raw: bytes) -> bytes:
     try:
         from numcodecs.blosc import decompress
     except ImportError as error:
-        raise ValueError(
-            'blosc needs numcodecs; pip install "sparseskin[zarr]"'
-        ) from error
+        raise ValueError(f"blosc: {not_installed('numcodecs', 'zarr')}") from error
     plain: bytes = decompress(raw)
     return plain

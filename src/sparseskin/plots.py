@@ -8,7 +8,7 @@ import numpy as np
 from sparseskin.messages.errors import MessageError
 from sparseskin.messages.skin import Skin
 from sparseskin.nodes.arguments import checked
-from sparseskin.nodes.errors import SparseskinError
+from sparseskin.nodes.errors import SparseskinError, not_installed
 from sparseskin.nodes.numerics.arrays import LARGEST, Floats, Mask, real_floats
 
 MAX_FRAMES = 24
@@ -69,8 +69,8 @@ def plot_forces(
     try:
         import matplotlib.pyplot as plt
     except ImportError as error:
-        text = "plot_forces: needs matplotlib: pip install 'sparseskin[charts]'"
-        raise SparseskinError(text) from error
+        fault = not_installed("matplotlib", "charts")
+        raise SparseskinError(f"plot_forces: {fault}") from error
 
     n_columns = min(len(frames), MAX_COLUMNS)
     n_lines = -(-len(frames) // n_columns)

@@ -12,6 +12,7 @@ import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
+from sparseskin.nodes.errors import not_installed
 from sparseskin.studies.baselines.libraries import PEERS
 from sparseskin.studies.harness import LARGER, TIMED_ON, unrefused
 from sparseskin.studies.report import (
@@ -83,7 +84,7 @@ def run(out: Path, quick: bool, seed: int, executor: str) -> list[str]:
     """
     for name, peer in PEERS.items():
         if find_spec(peer.module) is None:
-            text = f"{name} is left out: it is not installed (pip install 'sparseskin[peers]')"
+            text = not_installed(f"{name} is left out: {peer.module}", "peers")
             print(text, file=sys.stderr)
     read = zones(readings(quick, seed).run(out, executor))
     timed = gathered([times(quick, seed)], out, TIMED_ON)

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from sparseskin.nodes.errors import SparseskinError
+from sparseskin.nodes.errors import SparseskinError, not_installed
 from sparseskin.nodes.numerics.arrays import Doubles, Floats
 
 GRID = {"gamma": (0.3, 1.0, 3.0, 10.0), "alpha": (1e-3, 1e-2, 1e-1)}
@@ -24,9 +24,7 @@ FOLDS = 3
 def check_installed(asker: str) -> None:
     """Raise SparseskinError if scikit-learn is not installed; `asker` is named in the line."""
     if find_spec("sklearn") is None:
-        raise SparseskinError(
-            f"{asker}: scikit-learn is not installed: pip install 'sparseskin[tasks]'"
-        )
+        raise SparseskinError(f"{asker}: {not_installed('scikit-learn', 'tasks')}")
 
 
 class Classifier:

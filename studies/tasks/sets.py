@@ -9,6 +9,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from sparseskin.nodes.errors import not_installed
 from sparseskin.nodes.numerics.arrays import Floats
 from sparseskin.studies.points import StudyError
 
@@ -65,9 +66,7 @@ def _stemnist(paths: list[Path]) -> LabelledFrames:
     10.5281/zenodo.19469535; arXiv 2601.01658.
     """
     if find_spec("h5py") is None:
-        raise StudyError(
-            "--data: h5py is not installed: pip install 'sparseskin[hdf5]'"
-        )
+        raise StudyError(f"--data: {not_installed('h5py', 'hdf5')}")
     frames = np.empty((len(paths), *STEMNIST_SHAPE), dtype=np.float32)
     labels = []
     people = []

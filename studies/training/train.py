@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
+from sparseskin.nodes.errors import not_installed
 from sparseskin.nodes.reconstructor.skin.gates import FILE
 from sparseskin.studies.points import StudyError
 from sparseskin.studies.report import Chart, Page
@@ -24,9 +25,7 @@ def run(out: Path, quick: bool, seed: int, executor: str) -> list[str]:
     not installed, or a file cannot be written.
     """
     if find_spec("torch") is None:
-        raise StudyError(
-            "study train: torch is not installed: pip install 'sparseskin[train]'"
-        )
+        raise StudyError(f"study train: {not_installed('torch', 'train')}")
     n_presses, n_batches = (400, 1500) if quick else (24_000, 42_000)
     # Imported here: without torch the line above is to be printed.
     from .network import BATCH, trained

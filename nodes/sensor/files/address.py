@@ -70,6 +70,7 @@ class FileAddress(Address):
     @property
     def _layout(self) -> Layout:
         """What is stated; a table takes its shape from the file of the skin, where there is one."""
+        # Numbers in a line have no shape of their own, and the skin is known.
         described = self.described
         layout = self.layout
         is_table = Path(self.path).suffix.lower() in TABLE_SUFFIXES

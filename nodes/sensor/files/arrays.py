@@ -55,6 +55,7 @@ class StoredArrays(ArrayFile):
         if fields is None or len(array.shape) != 1:
             self._add(key, array, Dataset(array.shape, dtype))
             return
+        # As np.genfromtxt and records of drivers have it: a field for each column, or one array.
         numbers = []
         for name in fields:
             of_field = dtype[name]
@@ -147,6 +148,7 @@ class NumpyFile(StoredArrays):
             arrays = [
                 item for item in members.items() if item[1].filename.endswith(".npy")
             ]
+            # Headers alone are read: the numbers stay in the file until they are needed.
             for name, member in arrays[:MAX_ARRAYS]:
                 if member.file_size > limit:
                     fault = (
@@ -166,6 +168,7 @@ class NumpyFile(StoredArrays):
             )
 
         @contextmanager
+        # A member cannot be sought in: each pass inflates it from its begin.
         def opened(offset: int) -> Iterator[IO[bytes]]:
             with opened_npz(self._file) as (archive, _), archive.open(member) as stream:
                 stream.read(offset)

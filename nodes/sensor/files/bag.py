@@ -36,6 +36,7 @@ class BagRecording(Recording):
     def head(self) -> Head:
         with self._opened() as (bag, topic):
             n_rows, n_cols = next(self._taxels(bag, topic)).forces.shape[1:]
+            # All is stated by the messages, but for what the latched state of the skin has.
             head = Head(
                 (Axis(n_rows, "rows"), Axis(n_cols, "cols")),
                 is_timed=True,
@@ -69,6 +70,7 @@ class BagRecording(Recording):
         """The recording, and the topic of the taxels."""
         name = self._file.name
         try:
+            # A recording may be split: the files that go on with it are found by its name.
             with BagReader(name) as whole:
                 bag = split_bag(whole)
                 about = {}
@@ -77,6 +79,7 @@ class BagRecording(Recording):
                         about[topic] = f"{info.n_messages} frames"
                 topic = choose(about, self._file.layout.topic, name, "topics of taxels")
                 calibration = topic_of(patch_of(topic), Calibration.schema)
+                # Calibrating newtons once more would be a wrong force without a word.
                 if self._file.raw and calibration in bag.topics:
                     fault = "its taxels are forces, of a calibrated skin"
                     raise SourceError(f"{name}: {fault}; expected raw readings")

@@ -16,7 +16,13 @@ from sparseskin.nodes.numerics.arrays import Mask
 from sparseskin.nodes.sensor.layout import times
 from sparseskin.nodes.sensor.layout.arrangement import Axis
 from sparseskin.nodes.sensor.layout.checks import parse_number, shown
-from sparseskin.nodes.sensor.layout.roles import CHANNEL, FRAMES, label_role, roles_of
+from sparseskin.nodes.sensor.layout.roles import (
+    CHANNEL,
+    FRAMES,
+    is_first_apart,
+    label_role,
+    roles_of,
+)
 from sparseskin.nodes.sensor.layout.tally import Tally
 
 from .datasets import (
@@ -39,6 +45,15 @@ from .datasets import (
 )
 from .recording import Block, File, Head, Recording, frames_per_block
 from .table.columns import time_of_rows
+
+MAX_ROWS = 256
+"""Longest side of a skin; chosen: mats and beds have up to 160 rows."""
+MAX_PART = 3
+"""Least length of the axis of the frames by that of a side; chosen: the other way round there would
+be a recording of fewer frames than a third of its rows."""
+MAX_RATIO = 1.5
+"""Largest change from frame to frame by that between neighbouring taxels; chosen: four recordings
+have 0.15 to 0.83, and numbers in no order 1."""
 
 
 class DatasetRecording(Recording):
@@ -81,6 +96,7 @@ class DatasetRecording(Recording):
         ):
             columns = range(self._items[0].size)
             usable = tuple(k for k in columns if k != self._time_column)
+        # The title may say which skin it is, which nothing else does.
         notes = list(self._notes)
         title = self._attributes.get("long_name")
         if title:
@@ -137,6 +153,7 @@ class DatasetRecording(Recording):
         """Numbers as the attributes of their array state them: NaN for its fill value, times its
         scale, plus its offset. Source: CF conventions, sections 2.5 and 8.1.
         """
+        # Fill values are those of the stored numbers, before they are scaled.
         values = numbers.astype(np.float64)
         for name in FILL_VALUES:
             if name in self._packing:
@@ -183,12 +200,9 @@ class DatasetRecording(Recording):
         # Times are found first: their number shows which axis is that of the frames.
         keys = times_keys(arrays, self._layout)
         n_times = {math.prod(arrays.datasets[key].sides) for key in keys}
-        first_is_usual: bool | None = arrays.has_frames_first
-        if first_is_usual and arrays.last_part(self._key) == FORCES:
-            first_is_usual = None
         axes = arrays.axes(self._key)
         roles, is_guess = roles_of(
-            self._layout, axes, self._where, True, n_times, first_is_usual
+            self._layout, axes, self._where, True, n_times, self._frames_are_first
         )
         for at, (role, axis) in enumerate(zip(roles, axes, strict=True)):
             if role == FRAMES:
@@ -214,6 +228,39 @@ class DatasetRecording(Recording):
         if self._dataset.dtype.kind == "b":
             self._notes.append("True and False are read as 1 and 0")
 
+    def _frames_are_first(self) -> bool:
+        """True if the first axis is that of the frames, as most programs write them: it is longer
+        than any side of a skin, or many times the others, or these are a square.
+        """
+        arrays = self._arrays
+        axes = arrays.axes(self._key)
+        if not arrays.has_frames_first:
+            return False
+        # This program writes its own frames so.
+        if arrays.last_part(self._key) == FORCES:
+            return True
+        if not is_first_apart(axes):
+            return False
+        n_first = axes[0].size
+        sides = [axis.size for axis in axes[1:] if axis.size > 1]
+        is_stated = bool(self._layout.axes) or self._layout.n_stated is not None
+        if (
+            is_stated
+            or len(sides) < 2
+            or n_first >= min(MAX_ROWS, MAX_PART * max(sides))
+        ):
+            return True
+        if len(axes) > 3 or len(set(sides)) > 1:
+            return False
+        # Of another order there are as many frames as rows: an accident, unless the numbers
+        # change more from frame to frame than from taxel to taxel.
+        size = frames_per_block(math.prod(sides))
+        begin = next(arrays.blocks(self._key, 0, max(2, size)), None)
+        if begin is None:
+            return True
+        along_frames, *along_others = _changes(begin)
+        return along_frames <= MAX_RATIO * min(along_others)
+
     def _find_time_column(self) -> None:
         """Find the column of a table that holds the times, as in a table of text. Raises
         UnstatedError if a column may be the times.
@@ -228,6 +275,7 @@ class DatasetRecording(Recording):
         if not is_row or (is_decided and not layout.has_time_column):
             return
         (axis,) = self._items
+        # All columns are taxels, if the shape needs as many.
         if axis.size < 2 or layout.n_stated == axis.size:
             return
         begin = next(self._numbers(frames_per_block(axis.size)), None)
@@ -261,6 +309,7 @@ class DatasetRecording(Recording):
 
     def _rate(self, notes: list[str]) -> float | None:
         """Frames per second that the file states, by the first of their names."""
+        # The name of this program's own files comes before those of others.
         rate_hz = self._number(RATE)
         if rate_hz is not None:
             return rate_hz
@@ -347,6 +396,7 @@ class DatasetRecording(Recording):
             forms = [mask, mask.T, mask.ravel(order)]
         exists = next((form for form in forms if form.shape == sides), None)
         if exists is None:
+            # Beside another program's array "mask" may be anything; beside ours it is one.
             if self._arrays.last_part(self._key) != FORCES:
                 notes.append(f"array {printable(path)} is no mask of a frame: not read")
                 return None
@@ -360,6 +410,17 @@ class DatasetRecording(Recording):
         item_sides = [axis.size for axis in self._items]
         whole = np.broadcast_to(exists.reshape(sizes), item_sides)
         return whole.astype(np.bool_)
+
+
+def _changes(numbers: npt.NDArray[Any]) -> list[float]:
+    """Mean differences of neighbours along each axis of an array, 0 of an axis without any."""
+    changes = []
+    for axis in range(numbers.ndim):
+        # float64: unsigned counts would wrap.
+        steps = np.abs(np.diff(numbers.astype(np.float64), axis=axis))
+        finite = steps[np.isfinite(steps)]
+        changes.append(float(finite.mean()) if finite.size else 0.0)
+    return changes
 
 
 def number_of(value: Any) -> float | None:

@@ -191,6 +191,7 @@ def _candidates(arrays: ArrayFile, layout: Layout) -> list[str]:
 
 def _rivals(arrays: ArrayFile, grid: str, keys: Sequence[str]) -> list[str]:
     """Tables that may be the frames though there is one array of three axes."""
+    # Joints and poses are small tables; one as large as the grid may be the skin itself.
     rivals = []
     sides = arrays.datasets[grid].sides
     for key in keys:
@@ -251,7 +252,7 @@ def times_key(
             raise SourceError(f"{arrays.name}: time: {note}")
         return "", (note,) if keys else ()
 
-    # In the same group, or with the same word at its begin.
+    # In the same group, or with the same word at its begin: left_t beside left_pad.
     nearness = {key: _common_words(key, frames) for key in as_long}
     nearest = [key for key in as_long if nearness[key] == max(nearness.values())]
     if len(nearest) > 1:
@@ -266,6 +267,7 @@ def _ask_for_times(arrays: ArrayFile, frames: str, n_frames: int) -> None:
     """Raise UnstatedError if an array of one number for each frame rises: likely the times. One
     that rises by 1 counts.
     """
+    # As for columns of a table: times whose name is in another language.
     rising = []
     for key, dataset in arrays.datasets.items():
         is_of_frames = dataset.is_list and math.prod(dataset.sides) == n_frames

@@ -12,7 +12,7 @@ import hashlib
 import os
 import shlex
 from collections import deque
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
@@ -49,7 +49,14 @@ from sparseskin.nodes.sensor.source import DEFAULT_RATE_HZ, MAX_LINES, Source
 from .format import folder_files, recording_of
 from .frames import Frames, Stamped
 from .recording import File
-from .survey import DIGEST_BYTES, FrameStore, Needs, Survey, Treatment
+from .survey import (
+    DIGEST_BYTES,
+    LOOK_BYTES,
+    FrameStore,
+    Needs,
+    Survey,
+    Treatment,
+)
 
 MAX_FRAMES = 1 << 31
 """Most frames of a recording, chosen: 24 days at 1 kHz."""
@@ -150,6 +157,7 @@ class RecordedSource(Source):
         are missing are treated as stated: filled in by "zero" and "hold", else NaN. Frames without
         any reading are left out.
         """
+        # The array is handed over, not copied: half the memory.
         store = self._store
         assert store is not None
         self._store = None
@@ -208,12 +216,15 @@ class RecordedSource(Source):
         needs_range = self._needs.range and not has_range
         self._reads_twice = False
         self._widens = False
+        self._is_begin = False
         needs_all = self._needs.digest or Treatment.needs_survey(self._layout)
         waits_for_range = needs_range and not self._needs.widens
         store: FrameStore | None = FrameStore(frames.shape)
         limit = KEPT_BYTES
         if frames.n_bytes > LARGE_BYTES and not self._needs.in_memory:
             limit = BEGIN_BYTES
+        if self._needs.begin:
+            limit = LOOK_BYTES
         for stamp_ns, part in frames.blocks():
             survey.add(part, frames.extremes)
 
@@ -221,7 +232,9 @@ class RecordedSource(Source):
                 raise SourceError(f"{frames.name}: more than {MAX_FRAMES} frames")
             if store is not None:
                 store.add(stamp_ns, part)
-            if store is not None:
+                if self._needs.begin and store.frames.nbytes > limit:
+                    self._is_begin = True
+                    break
                 if self._needs.in_memory or store.frames.nbytes <= limit:
                     continue
                 store = None
@@ -242,6 +255,10 @@ class RecordedSource(Source):
         if survey.n_frames:
             lines += frames.notes()
             self._is_told = True
+        if self._is_begin:
+            begin = f"the first {survey.n_frames} frames alone were read"
+            lines.append(f"{begin}: import reads and checks all")
+        # An assumption is said where it is made, with what changes it.
         if not (self._layout.unit or frames.head.unit or self._raw):
             line = f"states no unit: taken as {self.skin.unit}; set unit where it is another"
             if self.skin.unit == COUNTS:
@@ -268,6 +285,7 @@ class RecordedSource(Source):
         highest = float(np.fmax.reduce(frames, axis=None))
         if highest <= self.skin.f_max:
             return
+        # By a quarter at least: a load that grows slowly would widen it with each frame.
         f_max = max(highest, MIN_WIDENING * self.skin.f_max)
         line = f"a reading is {highest:g}: the range is wider from there on, f_max={f_max:g}"
         self._lines.append(line)
@@ -318,7 +336,7 @@ def open_file(
     """
     name = str(path)
     check_unit(name, layout.unit)
-    with proposing(name, layout, raw):
+    with proposing(name, layout, raw, needs.begin):
         return RecordedSource(name, layout, raw, needs)
 
 
@@ -369,17 +387,24 @@ def located(path: str) -> Iterator[tuple[str, tuple[str, ...]]]:
 
 
 @contextmanager
-def proposing(path: str, layout: Layout, raw: bool) -> Iterator[None]:
-    """Add to an error on what is not stated the settings with which the whole file can be read, if
-    there is exactly one way.
+def proposing(
+    path: str, layout: Layout, raw: bool, of_begin: bool = False
+) -> Iterator[None]:
+    """Add to an error on what is not stated the settings with which the whole file can be read, or
+    its begin, if there is exactly one way.
     """
     try:
         yield
     except UnstatedError as error:
         text = str(error)
 
-        # A way that fails later in the file is none to propose.
-        ways = [option for option in error.options if _reads(path, layout, raw, option)]
+        # A way that fails later in the file is none to propose; the unit of readings never is.
+        unit = {"unit": layout.unit or COUNTS}
+        ways = [
+            option
+            for option in error.options
+            if _reads(path, layout.stating({**unit, **option}), raw, of_begin)
+        ]
         if len(ways) == 1:
             settings = [
                 f"{key}={shlex.quote(str(value))}" for key, value in ways[0].items()
@@ -388,15 +413,17 @@ def proposing(path: str, layout: Layout, raw: bool) -> Iterator[None]:
         raise SourceError(text) from error
 
 
-def _reads(path: str, layout: Layout, raw: bool, option: Mapping[str, Any]) -> bool:
-    """True if all of a file can be read with a further setting, or only something else is not
-    stated then.
+def _reads(path: str, layout: Layout, raw: bool, of_begin: bool) -> bool:
+    """True if all of a file can be read so, or its begin, or only something else is not stated
+    then.
     """
-    unit = layout.unit or option.get("unit") or COUNTS
     try:
-        with opened(path, layout.stating({"unit": unit, **option}), raw) as frames:
-            for _ in frames.blocks():
-                continue
+        with opened(path, layout, raw) as frames:
+            n_bytes = 0
+            for _, block in frames.blocks():
+                n_bytes += block.nbytes
+                if of_begin and n_bytes > LOOK_BYTES:
+                    break
     except UnstatedError:
         return True
     except SparseskinError:
@@ -419,6 +446,7 @@ def _skin(frames: Frames, survey: Survey, treatment: Treatment) -> Skin:
     head = frames.head
     layout = frames.layout
     try:
+        # A mask of all cells is none: nothing is left out of messages for it.
         has_mask = frames.mask is not None and not frames.mask.all()
         skin = Skin(
             *frames.shape,
@@ -463,6 +491,7 @@ def _range(frames: Frames, survey: Survey, treatment: Treatment) -> float:
 
 def _unit(frames: Frames) -> str:
     """Unit of the readings: stated, that of the file, or an assumption."""
+    # A unit that contradicts the file is refused: kPa read as N is a wrong force.
     setting = frames.layout.unit
     of_file = frames.head.unit
     check_unit(frames.name, of_file)

@@ -121,6 +121,7 @@ def _recognised(file: File, fitting: list[Format]) -> list[Format]:
     """The formats that recognise the begin of a file, or else those that take every file."""
     begin = file.file.read(HEAD_BYTES)
     file.file.seek(0)
+    # A table of text has no marks of its own: it is what remains.
     for_all = [format_ for format_ in fitting if format_.recognises is None]
     sure = [form for form in fitting if form.recognises and form.recognises(begin)]
     return sure or for_all or fitting
@@ -136,6 +137,7 @@ def folder_files(path: str) -> Iterator[tuple[str, tuple[str, ...]]]:
     if not folder.is_dir():
         yield path, ()
         return
+    # A marker states the format; else the names of the files have to.
     markers = [
         name for candidate in loaded(FILES).values() for name in candidate.markers
     ]
@@ -147,6 +149,7 @@ def folder_files(path: str) -> Iterator[tuple[str, tuple[str, ...]]]:
     of_bag = [file for file in files if file.name.endswith(BAG_SUFFIXES)]
     beside_bag = [file for file in files if file.name.endswith(BAG_LOGS)]
     if (folder / BAG_METADATA).is_file() or len(of_bag) + len(beside_bag) == len(files):
+        # The last message may stand in the log of a recorder that was killed.
         files = of_bag
         if not files:
             raise SourceError(f"{path}: holds no file of a recording")

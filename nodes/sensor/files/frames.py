@@ -100,6 +100,7 @@ class Frames:
         if self.is_timed:
             stamps = Stamps(self.time_unit, self.layout.time_wrap)
         self.n_frames = 0
+        # The reader decodes; here its numbers become readings of taxels, at their time.
         for block in self.recording.blocks():
             frames = self._checked(self.arrangement.frames(block.numbers))
             if stamps is not None:
@@ -131,6 +132,7 @@ class Frames:
         elif self.head.is_timed:
             time_name = self.head.time_name or "those of each item"
             lines.append(f"times: {time_name}, not read, since a rate is stated")
+        # A logger with a coarse clock, or frames that were sent twice.
         if self.n_repeated:
             lines.append(
                 f"{self.n_repeated} times repeat the one before: 1 ns later each"
@@ -205,6 +207,7 @@ class Frames:
         """Stamps of the next n frames at an even rate."""
         rate_hz = self.layout.rate_hz or self.head.rate_hz
 
+        # From the number of the frame, so that rounding does not add up.
         period_ns = UNTIMED_PERIOD_NS if rate_hz is None else 1e9 / rate_hz
         stamps = np.rint(np.arange(self.n_frames, self.n_frames + n) * period_ns)
         if stamps[-1] > INT64_MAX:
@@ -217,6 +220,7 @@ class Frames:
         that is not allowed.
         """
         layout = self.layout
+        # What float32 does not hold becomes infinite, and is refused below.
         with np.errstate(all="ignore"):
             frames: Floats = readings.astype(np.float32)
         for number in layout.missing_numbers:
@@ -269,6 +273,7 @@ class Frames:
         place = self._place(readings, below)
         ways = f"state negative={KEEP}, zero, offset or mask"
 
+        # Noise has many values; a code for "no reading" has one.
         is_marker = values.size == 1 and other_readings.size > 0
         marker = float(values[0])
         if is_marker and other_readings.min() > marker + ISOLATED * abs(marker):

@@ -100,6 +100,7 @@ def gathered(
     for item, time in items:
         numbers.append(item)
         times.append(time)
+        # Stacked in blocks: a Python call per frame would cost more than its decoding.
         if len(numbers) == frames_per_block(item.size):
             tally.take(len(numbers), len(numbers))
             yield Block(np.stack(numbers), times)

@@ -26,18 +26,23 @@ from sparseskin.nodes.sensor.missing import FILLED
 from .frames import Stamped
 
 DIGEST_BYTES = 8
+LOOK_BYTES = 1 << 22
+"""Frames of the begin of a file that is looked at, bytes; chosen: a table is read so far in half a
+second."""
 
 
 class Needs(NamedTuple):
     """What is needed of a recording before its first frame. `range`: the largest reading, where no
     range is stated; with `widens` that of its begin is enough, and a larger one widens the range
-    when it comes. `in_memory`: all frames are; they are decoded once.
+    when it comes. `in_memory`: all frames are; they are decoded once. `begin`: no more than the
+    begin of a file is read, of about `LOOK_BYTES`.
     """
 
     range: bool = True
     widens: bool = False
     digest: bool = False
     in_memory: bool = False
+    begin: bool = False
 
 
 class FrameStore:
@@ -92,6 +97,7 @@ class Survey:
 
     def add(self, frames: Floats, extremes: tuple[float, float] | None) -> None:
         """Add frames, and their lowest and highest reading; None: they hold NaN."""
+        # One pass gathers all that any treatment needs: a file of 2 GB is decoded once.
         self.n_frames += len(frames)
         if self.content is not None:
             self.content.update(np.ascontiguousarray(frames).data)
@@ -107,6 +113,7 @@ class Survey:
         self.lowest = min(self.lowest, lowest)
         self.highest = max(self.highest, highest)
 
+        # Most frames have none: no second pass over them.
         if lowest < 0:
             is_negative = frames < 0
             self.n_negative += int(np.count_nonzero(is_negative))
@@ -125,6 +132,7 @@ class Treatment:
         self._negative = layout.negative
         if raw and layout.negative == REFUSE:
             self._negative = KEEP
+        # A taxel is masked for all frames, so that its place never changes its meaning.
         gone = np.zeros(survey.shape, dtype=np.bool_)
         if layout.nan == MASK:
             gone |= ~survey.has_number

@@ -15,7 +15,7 @@ from sparseskin.messages.text import printable
 from sparseskin.nodes.errors import SourceError
 from sparseskin.nodes.numerics.arrays import Indices
 
-from .layout import Layout, UnstatedError
+from .layout import Layout, UnstatedError, listed
 from .names import NORMAL, select
 from .roles import CHANNEL, COLS, ROWS, XYZ, roles_of
 from .roles import Axis as Axis  # part of the interface
@@ -58,6 +58,7 @@ def arrange(
         raise SourceError(
             f"{where}: an item holds {n_numbers} numbers; allowed: 1..{MAX_ELEMENTS}"
         )
+    # Numbers of the cells are turned and chosen once; each frame is then one lookup.
     places: npt.NDArray[Any] = np.arange(n_numbers)
     notes: tuple[str, ...] = ()
     may_hold_others = False
@@ -72,6 +73,7 @@ def arrange(
         notes = (*selection.notes, *_left_out(names, remaining, selection.columns))
         if selection.shape is not None:
             places = places.reshape(selection.shape)
+        # Names with numbers are those of taxels; others may be anything, and the error says so.
         have_numbers = all(re.search(r"\d", names[k]) for k in selection.columns)
         may_hold_others = not (have_numbers or layout.columns)
     else:
@@ -82,6 +84,7 @@ def arrange(
 
     check_grid(n_rows, n_cols, where)
     places = _ordered(layout, places, where)
+    # All cells in order: a block of frames is a view, without a copy.
     if places.size == n_numbers and bool((np.diff(places.ravel()) == 1).all()):
         return Arrangement((n_rows, n_cols), None, notes)
     return Arrangement((n_rows, n_cols), places, notes)
@@ -119,6 +122,7 @@ def shapes_of(n: int) -> str:
     sides = [
         k for k in range(1, min(n, MAX_SIDE) + 1) if n % k == 0 and n // k <= MAX_SIDE
     ]
+    # Most skins are nearly square: those shapes come first.
     sides.sort(key=lambda k: (abs(math.log(k * k / n)), k))
     shapes = [f"{k} x {n // k}" for k in sides[:MAX_WAYS]]
     if len(shapes) < 2:
@@ -135,9 +139,7 @@ def _left_out(
     if not unread:
         return ()
     columns_text = "column" if len(unread) == 1 else "columns"
-    names_text = ", ".join(map(printable, unread[:MAX_WAYS]))
-    if len(unread) > MAX_WAYS:
-        names_text += ", ..."
+    names_text = listed([*map(printable, unread)])
     return (f"left out: {len(unread)} {columns_text}, {names_text}",)
 
 
@@ -171,6 +173,7 @@ def _entry(layout: Layout, axis: Axis, where: str) -> tuple[int, str]:
     ):
         names = XYZ
     channel = layout.channel.lower()
+    # The force that presses; the others are kept by `recording import --keep`.
     if not channel and NORMAL in names:
         channel = NORMAL
 
@@ -196,6 +199,7 @@ def _as_grid(
     n_rows = layout.n_rows
     n_cols = layout.n_cols
     if places.ndim == 2:
+        # A row of a table, or a column of MATLAB, is a list: a stated shape folds it.
         is_stated_flat = 1 in places.shape and layout.n_stated == places.size
         if not is_stated_flat:
             check_stated_shape(places.shape[0], places.shape[1], n_rows, n_cols, where)
@@ -208,6 +212,7 @@ def _as_grid(
         if may_hold_others:
             ways += ", or columns if not all are readings"
         raise UnstatedError(f"{where}: {fault}: {ways}")
+    # One side is enough: the other follows.
     n_rows = n_rows or max(1, n // (n_cols or 1))
     n_cols = n_cols or max(1, n // n_rows)
     if n_rows * n_cols != n:

@@ -45,6 +45,7 @@ def shown(text: object, limit: int = 40) -> str:
 
 def spelled(text: str, option: Callable[[str], str]) -> str:
     """An error whose missing settings, KEY=VALUE behind `ADD`, are spelled as options."""
+    # Behind ADD alone: in the fault KEY=VALUE may be a content of the file.
     fault, add, settings = text.partition(ADD)
     options = re.sub(r"(?<!\S)([a-z_]+)=", lambda match: option(match[1]), settings)
     return fault + add + options
@@ -59,6 +60,7 @@ def choose(
     """
     if stated in candidates:
         return stated
+    # A bag may have hundreds of topics; an error is one line.
     examples = islice(candidates.items(), MAX_EXAMPLES)
     texts = ", ".join(
         f"{printable(candidate)} ({about})" for candidate, about in examples
@@ -83,6 +85,7 @@ def reading(name: str) -> Iterator[IO[bytes]]:
     """
     path = Path(name)
     try:
+        # Each in words of its own: what open() says of a directory is no help.
         if path.is_dir():
             raise SourceError(f"{name}: is a directory; name one file in it")
         if not path.exists():
@@ -146,6 +149,7 @@ def parse_mask(rows: Any, shape: tuple[int, int], where: str) -> Mask:
     """
     n_rows, n_cols = shape
 
+    # Texts, not numbers: a mask in a file is seen as a picture.
     row_of = re.compile(f"[01]{{{n_cols}}}")
     texts = isinstance(rows, list) and all(isinstance(row, str) for row in rows)
     if not (texts and len(rows) == n_rows and all(map(row_of.fullmatch, rows))):

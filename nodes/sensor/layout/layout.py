@@ -27,8 +27,9 @@ NEGATIVE_WAYS = (REFUSE, KEEP, ZERO, OFFSET, MASK)
 """Ways to treat readings below 0. The file is refused; they are kept; they become 0; the lowest
 reading is subtracted from all; or their taxels are masked."""
 ORDERS = ("rows", "columns")
-TIME_UNITS = ("", "ns", "us", "ms", "s", "clock")
-"""Units of times; clock: hours, minutes and seconds of a day, which begins again at midnight."""
+TIME_UNITS = ("", "ns", "us", "ms", "s", "d", "clock")
+"""Units of times; clock: hours, minutes and seconds of a day, which begins again at midnight; d:
+days, as a spreadsheet or MATLAB counts them."""
 AXES = ("frames", "rows", "cols", "taxels", "channel", "-")
 """Names of the axes of an array; -: an axis of one entry."""
 ENDS = ("first", "last")
@@ -57,12 +58,16 @@ class UnstatedError(SourceError):
     ) -> UnstatedError:
         """The error that one of several values of a key is to be stated, and what else can be."""
         # In quotes where a name has spaces, as the shell and `add` have it.
-        texts = [shlex.quote(printable(str(value))) for value in values[:MAX_WAYS]]
+        texts = [shlex.quote(printable(str(value))) for value in values]
         settings = [f"{key}={text}" for text in texts]
-        ways = " or ".join([*settings, *filter(None, [otherwise])])
-        if len(values) > MAX_WAYS:
-            ways += ", ..."
+        ways = listed([*settings, *filter(None, [otherwise])], " or ")
         return cls(f"{fault}: state {ways}", *({key: value} for value in values))
+
+
+def listed(texts: Sequence[str], separator: str = ", ") -> str:
+    """The first of some texts, at most `MAX_WAYS`: a file may have thousands of columns."""
+    ends = ["..."] if len(texts) > MAX_WAYS else []
+    return separator.join([*texts[:MAX_WAYS], *ends])
 
 
 @dataclass(frozen=True)
@@ -132,7 +137,9 @@ class Layout(GridLayout):
         "messages, the time of recording",
     )
     time_unit: str = setting(
-        "", "unit of the times; clock: time of day, as 10:15:02.120", choices=TIME_UNITS
+        "",
+        "unit of the times; d: days, as of a spreadsheet; clock: time of day, as 10:15:02.120",
+        choices=TIME_UNITS,
     )
     time_wrap: int | None = setting(
         None,
@@ -179,6 +186,7 @@ class Layout(GridLayout):
         if isinstance(self.time_wrap, str) and self.time_wrap.isdecimal():
             # As it stands behind "add" in an error.
             object.__setattr__(self, "time_wrap", int(self.time_wrap[:24]))
+        # In Python a column or a marker is a number, on a command line its text.
         for key in NUMBERS_AS_TEXTS:
             value = getattr(self, key)
             if is_real(value):
@@ -213,6 +221,7 @@ class Layout(GridLayout):
     @property
     def missing_way(self) -> str:
         """The way to fill readings that are missing, of `NAN_WAYS`."""
+        # Whoever states a marker expects it: the file is not refused for it.
         if self.missing and self.nan == REFUSE:
             return MASK
         return self.nan
@@ -237,6 +246,7 @@ class Layout(GridLayout):
 
     def stating(self, changes: Mapping[str, Any]) -> Layout:
         """A copy with further keys stated. Raises SettingsError if a value is not allowed."""
+        # Not replace(): it would skip the conversions of texts above.
         values = {key: getattr(self, key) for key in KEYS}
         return Layout(**{**values, **changes})
 

@@ -11,7 +11,7 @@ from itertools import chain
 from sparseskin.messages.text import printable
 from sparseskin.nodes.errors import SourceError
 
-from .layout import Layout, UnstatedError
+from .layout import Layout, UnstatedError, listed
 
 NORMAL = "z"
 """The channel that is read of x, y and z: the force along the normal of the skin."""
@@ -48,6 +48,7 @@ def select(
     several families the only ones that fill the stated shape; of x, y and z the normal one.
     Raises SourceError if there are none, UnstatedError if there are several ways.
     """
+    # What is stated is not doubted: a text column among them is refused at its first cell.
     if layout.columns.strip():
         columns = stated_columns(layout.columns, names, len(names), where)
         channel = layout.channel.lower()
@@ -67,6 +68,7 @@ def stated_columns(text: str, names: Sequence[str], n: int, where: str) -> list[
     """The columns of a list such as "s*,70-72": names, patterns, numbers from 1. Raises
     SourceError if a part of it is none.
     """
+    # A dictionary keeps the order in which they are stated, and each column once.
     columns: dict[int, None] = {}
     for part in filter(None, map(str.strip, text.split(","))):
         columns |= dict.fromkeys(matching(part, names, n, where, "columns"))
@@ -92,7 +94,7 @@ def matching(
             k for k, name in enumerate(names) if fnmatchcase(name, part)
         ]
     if not columns:
-        header = _listed(names) if any(names) else "no header"
+        header = listed([*map(printable, names)]) if any(names) else "no header"
         allowed = "allowed: names, patterns as s*, numbers from 1 as 2-65"
         raise SourceError(
             f"{where}: {key}: {part[:40]!r} is none of {n} columns ({header}); {allowed}"
@@ -129,6 +131,7 @@ def _chosen(
     """
     families = _families(names, usable)
     n_stated = layout.n_stated
+    # Three axes first: their families are as large as each other: no shape tells them apart.
     channels = _channels(families)
     if layout.channel or channels:
         channel = layout.channel or NORMAL
@@ -173,6 +176,7 @@ def _ways(families: dict[Family, list[int]], usable: Sequence[int]) -> list[list
     """The sets of columns that may be the taxels: each family of several names, all of these, all
     names with numbers, and all columns.
     """
+    # A family of one, as "battery2", is rarely a skin, but may belong to one.
     large = [columns for columns in families.values() if len(columns) > 1]
     of_large = sorted(chain.from_iterable(large))
     with_numbers = sorted(chain.from_iterable(families.values()))
@@ -189,6 +193,7 @@ def _channels(families: dict[Family, list[int]]) -> dict[str, list[int]]:
     for (_, channel), columns in families.items():
         if channel:
             by_channel.setdefault(channel, []).extend(columns)
+    # An accelerometer beside a skin has letters, too, but fewer of them.
     sizes = {len(columns) for columns in by_channel.values()}
     has_several = len(by_channel) > 1 and NORMAL in by_channel
     return by_channel if has_several and len(sizes) == 1 else {}
@@ -213,6 +218,7 @@ def _placed(
         if grid is not None:
             return Selection(grid.columns, grid.shape, (*notes, *grid.notes))
 
+    # By number, not by text: s10 comes after s9.
     by_number = sorted(columns, key=numbers.__getitem__)
     if by_number != columns and len(set(numbers.values())) == len(columns):
         notes = (*notes, "columns are ordered by the numbers in their names")
@@ -237,6 +243,7 @@ def _grid_numbers(name: str, numbers: Sequence[tuple[int, ...]]) -> list[int]:
     ]
     if len(labelled) == 2:
         return labelled
+    # Without words, numbers that never change are those of a hand or a board.
     varying = []
     for at in range(len(words)):
         values = {of_name[at] for of_name in numbers}
@@ -293,10 +300,3 @@ def _as_text(names: Sequence[str], columns: Sequence[int]) -> str:
         return f"{begin + 1}-{end + 1}"
     patterns = {re.sub(r"\d+", "*", names[k]) for k in columns}
     return ",".join(sorted(patterns))
-
-
-def _listed(names: Sequence[str]) -> str:
-    text = ", ".join(printable(name) for name in names[:MAX_SHOWN])
-    if len(names) > MAX_SHOWN:
-        text += ", ..."
-    return text

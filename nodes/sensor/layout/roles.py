@@ -7,7 +7,7 @@ are left out, the others are compared by how unusual they are, and of equal ones
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
 from itertools import permutations
 from typing import NamedTuple
 
@@ -67,15 +67,15 @@ def roles_of(
     where: str,
     has_frames: bool = False,
     n_times: Collection[int] = (),
-    first_is_usual: bool | None = True,
+    is_first: Callable[[], bool] = lambda: False,
 ) -> tuple[Roles, bool]:
     """The role of each axis, and whether it is a guess: that the first axis is that of the frames.
 
-    It is guessed where it is the longest, or the others are one, or a square; or always, if
-    `first_is_usual` is None. With `has_frames` one axis is that of the frames, or the whole array
-    is one frame of the stated shape; of several the one as long as times beside the array,
-    `n_times`. Raises SourceError if nothing agrees with what is stated, UnstatedError if several
-    ways do.
+    Where several ways are as usual, `is_first` decides, from what the array holds, whether the
+    first axis is that of the frames. With `has_frames` one axis is, or the whole array is one frame
+    of the stated shape; of several the one as long as times beside the array, `n_times`. Rows come
+    before columns unless the shape or a label states otherwise. Raises SourceError if nothing
+    agrees with what is stated, UnstatedError if several ways do.
     """
     text = " x ".join(str(axis.size) for axis in axes)
     labelled = _labelled(layout, axes, has_frames)
@@ -100,23 +100,21 @@ def roles_of(
         raise SourceError(f"{where}: {fault}")
     usual = [roles for roles, cost in costs.items() if cost == least_cost]
 
-    # Turned frames of the first axis are as likely as others of a later one.
-    if not any(roles[:1] == FIRST for roles in usual):
-        usual += [
-            roles
-            for roles, cost in costs.items()
-            if roles[:1] == FIRST and cost <= least_cost + TRANSPOSED
-        ]
-    # Of several axes that may be that of the frames, the first one, if that leaves one way.
+    # A side may be as long as the recording: turned frames along another axis are as likely.
+    frame_axes = {_frame_axis(roles) for roles in usual}
+    usual += [
+        roles
+        for roles, cost in costs.items()
+        if cost <= least_cost + TRANSPOSED and _frame_axis(roles) not in frame_axes
+    ]
+    if len(usual) == 1:
+        return usual[0], False
     firsts = [roles for roles in usual if roles[:1] == FIRST]
-    is_usual = first_is_usual is None or (first_is_usual and _first_is_plausible(axes))
-    if len(usual) > 1 and len(firsts) == 1 and is_usual:
+    if len(firsts) == 1 and is_first():
         return firsts[0], True
-    if len(usual) > 1:
-        ways_to_state = [",".join(roles) for roles in usual]
-        fault = f"{where}: what each axis of {text} is, is not stated"
-        raise UnstatedError.between(fault, "axes", ways_to_state)
-    return usual[0], False
+    ways_to_state = [",".join(roles) for roles in usual]
+    fault = f"{where}: what each axis of {text} is, is not stated"
+    raise UnstatedError.between(fault, "axes", ways_to_state)
 
 
 def are_roles_possible(layout: Layout, axes: Sequence[Axis]) -> bool:
@@ -130,6 +128,7 @@ def _labelled(layout: Layout, axes: Sequence[Axis], has_frames: bool) -> list[Ro
     of preference.
     """
     stated = layout.axis_names
+    # Labels of the file hold where nothing is stated.
     if not stated:
         possible = _assignments(axes, has_frames)
         return [roles for roles in possible if _allow(axes, roles)]
@@ -159,6 +158,7 @@ def _are_sound(axes: Sequence[Axis], roles: Roles) -> bool:
 
 def _assignments(axes: Sequence[Axis], has_frames: bool) -> Iterator[Roles]:
     """Roles of all axes, in order of preference."""
+    # None: the array is one frame, as of a file for each.
     frame_axes: list[int | None] = [None]
     if has_frames:
         frame_axes = [*range(len(axes)), None]
@@ -205,8 +205,13 @@ def label_role(axis: Axis) -> str:
     return next((role for role, labels in LABELS.items() if word in labels.split()), "")
 
 
+def _frame_axis(roles: Roles) -> int | None:
+    return roles.index(FRAMES) if FRAMES in roles else None
+
+
 def _n_frames(axes: Sequence[Axis], roles: Roles) -> int | None:
-    return axes[roles.index(FRAMES)].size if FRAMES in roles else None
+    axis = _frame_axis(roles)
+    return None if axis is None else axes[axis].size
 
 
 def _cost(layout: Layout, axes: Sequence[Axis], roles: Roles) -> float:
@@ -221,7 +226,9 @@ def _cost(layout: Layout, axes: Sequence[Axis], roles: Roles) -> float:
         # Of a single frame, a shape alone is no reason to turn it.
         if FRAMES not in roles and not (layout.axes or {ROWS, COLS} & labels):
             return math.inf
-        cost += TRANSPOSED
+        # With the frames between them, neither order is usual.
+        between = roles[roles.index(COLS) : roles.index(ROWS)]
+        cost += TRANSPOSED * (FRAMES not in between)
     elif ROWS not in sizes and n_stated is not None:
         cost += WITH_TIME * (sizes.get(TAXELS, 1) == n_stated + 1)
 
@@ -261,6 +268,7 @@ def _has_shape(layout: Layout, sizes: dict[str, int]) -> bool:
             return True
         is_high = n_rows == (layout.n_rows or n_rows)
         return is_high and n_cols == (layout.n_cols or n_cols)
+    # A row may hold more than taxels, where these or the times are stated apart.
     n = sizes.get(TAXELS, 1)
     if layout.columns or layout.has_time_column:
         return n >= (n_stated or 1)
@@ -277,14 +285,12 @@ def _may_hold(channel: str, size: int) -> bool:
     return channel.lower() not in XYZ or size == len(XYZ)
 
 
-def _first_is_plausible(axes: Sequence[Axis]) -> bool:
-    """True if the first axis is longer than the others, or these are one, or a square, of another
-    side. A single entry may be a frame, or a row.
+def is_first_apart(axes: Sequence[Axis]) -> bool:
+    """True if the first axis is longer than the others, or the others are one, or a square, of
+    another side. A single entry may be a frame, or a row.
     """
-    n_first, *item_sizes = [axis.size for axis in axes]
-    item_sizes = [size for size in item_sizes if size > 1]
-    is_square = (
-        len(axes) == 3 and len(item_sizes) == 2 and item_sizes[0] == item_sizes[1]
-    )
-    is_of_others = (len(item_sizes) == 1 or is_square) and n_first not in item_sizes
-    return n_first != 1 and (is_of_others or all(size < n_first for size in item_sizes))
+    n_first, *sizes = [axis.size for axis in axes]
+    sides = [size for size in sizes if size > 1]
+    are_alike = len(sides) == 1 or (len(axes) == 3 and len(set(sides)) == 1)
+    is_of_others = are_alike and n_first not in sides
+    return n_first != 1 and (is_of_others or all(size < n_first for size in sizes))

@@ -46,6 +46,7 @@ class Tally:
         """Raise SourceError unless items in are frames out and drops; `n_expected` is the number
         of items that the source states, None where it states none.
         """
+        # The law of conservation: whatever comes in becomes a frame, or is dropped by name.
         n_accounted = self.n_frames + self.n_further + self.dropped.total()
         if n_accounted != self.n_items:
             counts = (

@@ -22,9 +22,12 @@ CLOCK_UNIT = "clock"
 NS = {"ns": 1, "us": 10**3, "ms": 10**6, "s": 10**9, ISO: 1, CLOCK_UNIT: 1}
 NS |= {"min": 60 * 10**9, "h": 3600 * 10**9, "d": 86_400 * 10**9}
 """Nanoseconds of each unit. Stamps of ISO 8601 and times of day are read as nanoseconds."""
+UNITS = ("s", "ms", "us", "ns")
+"""Units that times have where nothing states it."""
 TIME_NAME = re.compile(
     r"[%_\s]*(?:field\.|header[._])*(t|ts|times?|times?_?stamps?|stamps?|date|date_?time|elapsed"
-    r"|secs?|seconds|millis|micros|epoch|clock|time_?steps?)(?![a-z0-9])|[mnuµ]s\s*$"
+    r"|(?:milli|micro|nano|[mnuµ])?(?:secs?|seconds)|millis|micros|epoch|clock|time_?steps?)"
+    r"(?![a-z0-9])|[mnuµ]s\s*$"
 )
 """Begin of the name of a column or array of times, in small letters."""
 UNIT_NAME = re.compile(
@@ -47,8 +50,8 @@ LONG_UNITS = {
     **{"mins": "min", "minute": "min", "hour": "h", "hr": "h", "day": "d"},
 }
 RATE_NAME = re.compile(
-    r"(?:(?:sampl\w*|frame|scan|acquisition|capture|recording|data|log\w*) ?)?"
-    r"(?:rate|freq\w*)(?: in)?(?: hz| fps)?|fs(?: hz)?|fps"
+    r"(?:(?:sampl\w*|frame|scan|acquisition|capture|recording|data|log\w*|channel) ?)?"
+    r"(?:rates?|freq\w*)(?: in)?(?: hz| fps)?|fs(?: hz)?|fps"
 )
 PERIOD_NAME = re.compile(
     r"(?:seconds per frame|dt|ts|time ?step"
@@ -63,16 +66,26 @@ FIRST_YEAR = 1998
 LAST_YEAR = 2103
 RATES_HZ = 0.1, 2000.0
 """Rates at which skins are read; chosen: of a bed a frame in 10 s, of boards 2 kHz."""
-OTHER_DATE = re.compile(
-    r"(?:(\d{1,2})\.(\d{1,2})\.(\d{4})|(\d{4})/(\d{1,2})/(\d{1,2}))(?=$|[ T])"
+DATE = re.compile(
+    r"(?:(?P<y>\d{4})[-/](?P<m>\d{1,2})[-/](?P<d>\d{1,2})"
+    r"|(?P<day>\d{1,2})[-. ](?P<month>\d{1,2}|[A-Za-z]{3})[-. ](?P<year>\d{4})"
+    r"|(?P<first>\d{1,2})/(?P<second>\d{1,2})/(?P<last>\d{4}))(?:$|[ T]+)"
 )
-"""Dates of one meaning; 3/12/2026 has two."""
+"""A date at the begin of a text. Of 3/12/2026 the order is that of the country."""
+MONTHS = (
+    *("jan", "feb", "mar", "apr", "may", "jun"),
+    *("jul", "aug", "sep", "oct", "nov", "dec"),
+)
 BASIC_DATE = re.compile(r"(\d{8})[T_ ]?(\d{6})(?:[.,]?(\d{1,9}))?")
 """Dates without separators, as 20260312T101502.120 or 20260312101502."""
 USUAL_WRAP = 1 << 32
 """Units of time until clocks of microcontrollers are 0 again."""
 DAY_NS = 86_400 * 10**9
-CLOCK = re.compile(r"(\d{1,2}):(\d{2}):(\d{2}(?:[.,]\d{1,9})?)")
+CLOCK = re.compile(
+    r"(\d{1,2}):([0-5]\d):([0-6]\d)(?:[.,](\d{1,9})|:(\d{3}))?(?:\s*([ap])\.?m\.?)?",
+    re.IGNORECASE,
+)
+"""A time of day, perhaps of 12 hours; LabVIEW has a colon before milliseconds."""
 
 
 def is_time_name(name: str) -> bool:
@@ -101,6 +114,7 @@ def rate_of(name: str, number: float, unit: str = "") -> float:
         return 0.0
     if RATE_NAME.fullmatch(words) and unit in RATE_UNITS:
         return number
+    # Programs state the rate, or its inverse.
     period = PERIOD_NAME.fullmatch(words)
     if period is None:
         return 0.0
@@ -116,21 +130,24 @@ def are_likely(numbers: npt.NDArray[Any]) -> bool:
 
 
 def iso_ns(text: str) -> int | None:
-    """Nanoseconds since 1970 of a stamp of ISO 8601, or with a date as 12.03.2026, 2026/03/12 or
-    20260312101502, of UTC where it states no zone; None: none.
+    """Nanoseconds since 1970 of a stamp of ISO 8601, or with a date as 12.03.2026, 2026/03/12,
+    12-Mar-2026 or 20260312101502, of UTC where it states no zone; None: none.
     """
     basic = BASIC_DATE.fullmatch(text)
     if basic is not None:
         text = f"{basic[1]}T{basic[2]}.{basic[3] or 0}"
-    date = OTHER_DATE.match(text)
+    elif "-" not in text[1:] and "/" not in text and "." not in text:
+        return None  # most cells are whole numbers
+    date = DATE.match(text)
+    clock = None
     if date is not None:
-        time = text[date.end() :].replace(",", ".")
-        if date[3]:
-            day, month, year = date.group(1, 2, 3)
-        else:
-            year, month, day = date.group(4, 5, 6)
-        text = f"{year}-{int(month):02}-{int(day):02}{time}"
-    if basic is None and "-" not in text[1:]:
+        # The clock is read apart: it may have 12 hours, or nanoseconds.
+        time = text[date.end() :]
+        clock = clock_ns(time)
+        text = _iso_date(date, time)
+        if clock is None and time:
+            text += f"T{time.replace(',', '.')}"
+    elif basic is None:
         return None
 
     try:
@@ -143,7 +160,28 @@ def iso_ns(text: str) -> int | None:
     if not moment.tzinfo:
         moment = moment.replace(tzinfo=UTC)
     since_epoch = moment - datetime(1970, 1, 1, tzinfo=UTC)
-    return since_epoch // timedelta(microseconds=1) * 1000
+    return since_epoch // timedelta(microseconds=1) * 1000 + (clock or 0)
+
+
+def _iso_date(date: re.Match[str], time: str) -> str:
+    """A date as 2026-03-12; "" if it has several meanings, or none."""
+    parts = date.groupdict("")
+    year = parts["y"] or parts["year"] or parts["last"]
+    day = parts["d"] or parts["day"]
+    month = parts["m"] or parts["month"]
+    if month.lower() in MONTHS:
+        month = str(1 + MONTHS.index(month.lower()))
+    elif parts["last"]:
+        # Where a clock has 12 hours the month comes first; else a day above 12 shows it.
+        month = parts["first"]
+        day = parts["second"]
+        if int(month) > 12:
+            month, day = day, month
+        elif int(day) <= 12 and not time.lower().rstrip(".").endswith("m"):
+            return ""
+    if not month.isdecimal():
+        return ""
+    return f"{year}-{int(month):02}-{int(day):02}"
 
 
 def clock_ns(text: str) -> int | None:
@@ -151,9 +189,19 @@ def clock_ns(text: str) -> int | None:
     match = CLOCK.fullmatch(text)
     if match is None:
         return None
-    seconds, _, fraction = match[3].replace(",", ".").partition(".")
-    whole_s = 3600 * int(match[1]) + 60 * int(match[2]) + int(seconds)
-    return whole_s * 10**9 + int(fraction.ljust(9, "0") or 0)
+    hour = int(match[1])
+    if match[6]:
+        if not 1 <= hour <= 12:
+            return None
+        hour = hour % 12 + 12 * (match[6] in "pP")
+    whole_s = 3600 * hour + 60 * int(match[2]) + int(match[3])
+    fraction = match[4] or match[5] or "0"
+    return whole_s * 10**9 + int(fraction.ljust(9, "0"))
+
+
+def dated_clock_ns(text: str) -> int | None:
+    """The same of a time of day that may stand behind a date, of any form."""
+    return clock_ns(DATE.sub("", text, count=1))
 
 
 def is_epoch(times: npt.NDArray[np.float64]) -> bool:
@@ -164,7 +212,7 @@ def is_epoch(times: npt.NDArray[np.float64]) -> bool:
 def epoch_unit(times: npt.NDArray[np.float64]) -> str:
     """The unit in which all numbers are dates since 1970; "" if there is none."""
     low_s, high_s = EPOCH_S
-    for unit in ("s", "ms", "us", "ns"):
+    for unit in UNITS:
         per_s = 1e9 / NS[unit]
         if (
             times.size
@@ -184,6 +232,7 @@ def unit_of(times: Sequence[float], where: str) -> str:
     of_dates = epoch_unit(numbers)
     if of_dates:
         return of_dates
+    # A clock that is coarse repeats its times: these steps say nothing of the unit.
     steps = np.diff(numbers)
     steps = steps[steps > 0]
     if not steps.size:
@@ -191,18 +240,17 @@ def unit_of(times: Sequence[float], where: str) -> str:
 
     median_step = float(np.median(steps))
     low_hz, high_hz = RATES_HZ
-    usual: dict[str, float] = {}
-    for unit in ("s", "ms", "us", "ns"):
-        rate_hz = 1e9 / (median_step * NS[unit])
-        if low_hz <= rate_hz <= high_hz:
-            usual[unit] = rate_hz
-    if len(usual) == 1:
+    rates = {unit: 1e9 / (median_step * NS[unit]) for unit in (*UNITS, "d")}
+    usual = {unit: rate for unit, rate in rates.items() if low_hz <= rate <= high_hz}
+    if len(usual) == 1 and "d" not in usual:
         return next(iter(usual))
     ways = " or ".join(
         f"time_unit={unit} ({rate:.4g} Hz)" for unit, rate in usual.items()
     )
-    hint = ways or "time_unit"
-    raise UnstatedError(f"{where}: the unit of the times is not stated: state {hint}")
+    fault = f"{where}: the unit of the times is not stated"
+    # Days, of a spreadsheet or of MATLAB, where nothing else is usual.
+    options = [{"time_unit": "d"}] if [*usual] == ["d"] else []
+    raise UnstatedError(f"{fault}: state {ways or 'time_unit'}", *options)
 
 
 @dataclass
@@ -251,6 +299,7 @@ class Stamps:
     def _rising(self, time_ns: int, where: str) -> int:
         """The stamp of a time, after the one before it."""
 
+        # A fall by more than half a turn is a turn; a smaller one is a frame out of order.
         fall_ns = self._last_time_ns - time_ns
         if self._turn_ns and fall_ns > self._turn_ns // 2:
             self._turns_ns += self._turn_ns
@@ -268,6 +317,7 @@ class Stamps:
             raise SourceError(text)
         self._last_time_ns = time_ns
 
+        # Stamps have to rise strictly, and a frame is not dropped for the clock of its logger.
         if time_ns <= self.last_ns:
             self.n_repeated += 1
             time_ns = self.last_ns + 1

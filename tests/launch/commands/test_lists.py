@@ -122,7 +122,8 @@ def test_scope_prints_figures_where_the_output_is_no_terminal(
 ):
     monkeypatch.chdir(tmp_path)
     np.save("step.npy", np.arange(60, dtype=np.float32).reshape(5, 3, 4))
-    assert main(["scope", "file:step.npy", "--set", "unit=kPa"]) == 0
+    stated = ["--set", "unit=kPa", "--set", "axes=frames,rows,cols"]
+    assert main(["scope", "file:step.npy", *stated]) == 0
     assert (
         capsys.readouterr().out.splitlines()[-1] == "step: 5 frames; min 0, max 59 kPa"
     )

@@ -335,7 +335,11 @@ def test_nodes_that_may_not_be_scheduled_are_refused(tmp_path, monkeypatch, caps
 
 
 @pytest.mark.parametrize(
-    "source", ['file:whole.npy"\n#"', 'file:a.csv"\nn_rows = 6\nunit = "N']
+    "source",
+    [
+        'file:whole.npy"\naxes = "frames,rows,cols',
+        'file:a.csv"\nn_rows = 6\nunit = "N',
+    ],
 )
 def test_m_that_the_skin_of_a_source_does_not_allow_is_refused_before_the_start(
     check, source

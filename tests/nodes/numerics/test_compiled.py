@@ -42,7 +42,8 @@ def no_numba(monkeypatch):
 def test_without_numba_auto_is_numpy_and_both_lines_name_what_to_install(monkeypatch):
     assert not use_compiled("auto")
     with pytest.raises(
-        SettingsError, match=r"fast: 'on' needs numba: pip install .*\[fast\]"
+        SettingsError,
+        match=r"fast: 'on': numba is not installed: pip install .*\[fast\]",
     ):
         use_compiled("on")
     lines = []

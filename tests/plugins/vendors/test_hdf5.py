@@ -17,6 +17,7 @@ from sparseskin.nodes.sensor.layout.layout import Layout
 from sparseskin.plugins.vendors import hdf5
 
 h5py = pytest.importorskip("h5py", reason="h5py is not installed")
+AXES = "frames,rows,cols"
 FRAMES = np.arange(40, dtype=np.uint16).reshape(5, 2, 4)
 TIMES = np.array([0.0, 0.02, 0.04, 0.5, 0.52])
 CASES = settings(suppress_health_check=[HealthCheck.function_scoped_fixture])
@@ -91,10 +92,16 @@ def test_labels_of_the_axes_are_followed(tmp_path, array, is_scale):
 @pytest.mark.parametrize(
     ("content", "stated"),
     [
-        ({"run__left": FRAMES, "run__right": FRAMES}, {"topic": "/run/left"}),
-        ({"run__left": FRAMES, "run__right": FRAMES}, {"topic": "right"}),
+        (
+            {"run__left": FRAMES, "run__right": FRAMES},
+            {"topic": "/run/left", "axes": AXES},
+        ),
+        ({"run__left": FRAMES, "run__right": FRAMES}, {"topic": "right", "axes": AXES}),
         ({"run__forces": FRAMES, "b": FRAMES}, {}),
-        ({"a": FRAMES, "names": ["x", "y"], "poses": np.ones((5, 7))}, {}),
+        (
+            {"a": FRAMES, "names": ["x", "y"], "poses": np.ones((5, 7))},
+            {"axes": AXES},
+        ),
         ({"a": FRAMES, "image": np.ones((5, 8, 8, 3))}, {"n_rows": 2, "n_cols": 4}),
     ],
 )
@@ -136,7 +143,7 @@ def test_attributes_state_unit_rate_range_and_pitch(tmp_path):
     assert source.skin.pitch_m == 0.004
     np.testing.assert_allclose(source.stamp_ns / 1e9, TIMES, atol=1e-6)
     assert "long name: left palm" in source.notes
-    even = read(tmp_path, raw, time="none")
+    even = read(tmp_path, raw, time="none", axes=AXES)
     np.testing.assert_allclose(even.stamp_ns / 1e9, np.arange(5) / 40, atol=1e-6)
 
 
@@ -149,7 +156,7 @@ def test_numbers_are_unpacked_as_their_attributes_state(tmp_path, fill_name):
         file["run/pad"].attrs.update(scale_factor=0.5, add_offset=3.0)
         file["run/pad"].attrs[fill_name] = np.int16(7)
 
-    source = read(tmp_path, written(write), missing="none")
+    source = read(tmp_path, written(write), missing="none", axes=AXES)
     expected = np.where(numbers == 7, np.nan, 0.5 * numbers + 3.0)
     np.testing.assert_array_equal(source.frames, expected)
     assert any("read with scale_factor = 0.5" in note for note in source.notes)

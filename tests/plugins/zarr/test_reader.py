@@ -28,6 +28,7 @@ CODECS = [
     numcodecs.BZ2(),
     numcodecs.LZMA(),
 ]
+AXES = "frames,rows,cols"
 FRAMES = 1 + np.arange(84, dtype=np.float32).reshape(7, 4, 3)
 TIMES = 1.7e9 + np.array([0, 0.02, 0.04, 0.5, 0, 0.02, 0.5])
 CASES = settings(suppress_health_check=[HealthCheck.function_scoped_fixture])
@@ -89,7 +90,7 @@ def test_places_without_a_chunk_hold_the_stated_number(tmp_path):
         "pad", shape=(9, 4, 3), dtype="f4", chunks=(2, 2, 2), fill_value=5
     )
     entry[3:5] = 7
-    frames = read(tmp_path / "a.zarr").frames
+    frames = read(tmp_path / "a.zarr", axes=AXES).frames
     assert (frames[3:5] == 7).all()
     assert (np.delete(frames, (3, 4), axis=0) == 5).all()
 
@@ -199,7 +200,7 @@ class TestRefused:
         head = json.loads((folder / "pad" / ".zarray").read_text())
         (folder / "pad" / ".zarray").write_text(json.dumps({**head, **changes}))
         with pytest.raises(SourceError, match=message):
-            read(folder)
+            read(folder, axes=AXES)
 
     def test_a_table_without_frames(self, tmp_path):
         store = str(tmp_path / "empty.zarr")
@@ -211,18 +212,18 @@ class TestRefused:
         (folder / "pad" / "0.0.0").rename(tmp_path / "elsewhere")
         (folder / "pad" / "0.0.0").symlink_to(tmp_path / "elsewhere")
         with pytest.raises(SourceError, match=r"'0\.0\.0': cannot be read"):
-            read(folder)
+            read(folder, axes=AXES)
         (folder / "pad").rename(tmp_path / "pad")
         (folder / "pad").symlink_to(tmp_path / "pad")
         with pytest.raises(SourceError, match="holds no arrays of frames"):
-            read(folder)
+            read(folder, axes=AXES)
 
     def test_bombs(self, folder):
         (folder / "pad" / "0.0.0").write_bytes(numcodecs.Zlib().encode(bytes(1 << 20)))
         with pytest.raises(
             SourceError, match=r"chunk 0\.0\.0 has 193 bytes in place of 192"
         ):
-            read(folder)
+            read(folder, axes=AXES)
 
     @CASES
     @given(data=st.data())

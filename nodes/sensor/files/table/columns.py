@@ -13,23 +13,42 @@ import numpy.typing as npt
 from sparseskin.nodes.errors import SourceError
 from sparseskin.nodes.sensor.layout.checks import shown
 from sparseskin.nodes.sensor.layout.layout import Layout, UnstatedError
-from sparseskin.nodes.sensor.layout.names import matching, stated_columns
+from sparseskin.nodes.sensor.layout.names import (
+    COL_WORDS,
+    ROW_WORDS,
+    matching,
+    stated_columns,
+)
 from sparseskin.nodes.sensor.layout.times import (
     CLOCK_UNIT,
     ISO,
     are_likely,
     clock_ns,
+    dated_clock_ns,
     is_epoch,
     is_time_name,
     iso_ns,
     named_unit,
 )
 
-from .sample import FRAME_WORDS, LINES, MAX_SHOWN, Line, TableHead, is_value
+from .sample import (
+    FRAME_WORDS,
+    LINES,
+    MAX_SHOWN,
+    Line,
+    TableHead,
+    is_value,
+)
 from .text import Dialect
 
 RISING_LINES = 8
 """Least lines in which times rise; chosen: eight readings without a trend rise once in 40,000."""
+EVEN_LINES = 4
+SAME_STEPS = 1.001
+"""Least lines, and ratio of their steps, in which a column that nothing names looks like times."""
+MAX_UNEVEN = 5.0
+"""The same of a column at an end, where the shape shows that one is no taxel; chosen: a frame may
+be late."""
 SOURCE_WORDS = (
     *("side", "hand", "foot", "finger", "sensor", "sensor_id", "sensor_name", "device"),
     *("device_id", "skin", "patch", "mat", "board", "module"),
@@ -70,6 +89,7 @@ def time_of_rows(
     width = rows.shape[1]
     head = TableHead(layout, where, Dialect(","), width, numeric=range(width))
     head.names = names or ("",) * width
+    # As texts, so that one set of rules finds times in tables and in arrays.
     for k, row in enumerate(rows[:MAX_ROWS].tolist()):
         head.data.append(Line(k, "", tuple(map(str, row))))
     return _time_column(head), head.notes
@@ -111,9 +131,11 @@ def _time_column(head: TableHead) -> int | None:
             return columns[0]
 
     # With a stated rate the file is read without times.
+    column = None
     if layout.rate_hz is None:
-        _ask_for_texts(head)
-    column = _time_at_an_end(head)
+        column = _other_texts(head)
+    if column is None:
+        column = _time_at_an_end(head)
     if column is None and layout.rate_hz is None:
         _ask_for_times(head)
     return column
@@ -134,20 +156,28 @@ def _nanoseconds_beside(head: TableHead, time: int) -> int | None:
     return None
 
 
-def _ask_for_texts(head: TableHead) -> None:
-    """Raise SourceError if a column holds texts that look like times, or is named as they are, of a
-    form that is not read.
+def _other_texts(head: TableHead) -> int | None:
+    """The column of times of day behind dates of any form, where it is stated to be read so. Raises
+    SourceError if a column holds texts that look like times, or is named as they are, of a form
+    that is not read.
     """
     for k, name in enumerate(head.names):
         cells = head.cells(k)
         is_named = bool(name) and is_time_name(name)
-        if k not in head.numeric and (is_named or all(map(TIME_LIKE.search, cells))):
-            fault = f"column {head.label(k)} holds {shown(cells[0])}, like a time"
-            forms = "2026-03-12T10:15:02.120, 12.03.2026 10:15:02.120 or 10:15:02.120"
-            ways = "write the times so, or state rate_hz, or time=none"
-            raise SourceError(
-                f"{head.name}: {fault}; times that are read: {forms}; {ways}"
-            )
+        # Not dropped: stamps of even steps in place of these would look like a measurement.
+        if k in head.numeric or not (is_named or all(map(TIME_LIKE.search, cells))):
+            continue
+        are_dated = all(dated_clock_ns(cell) is not None for cell in cells)
+        if are_dated and head.layout.time_unit == CLOCK_UNIT:
+            return k
+        fault = f"column {head.label(k)} holds {shown(cells[0])}, like a time"
+        if are_dated:
+            fault += ", whose date has two meanings: state time_unit=clock for its time of day"
+            raise UnstatedError(f"{head.name}: {fault}", {"time_unit": CLOCK_UNIT})
+        forms = "2026-03-12T10:15:02.120, 12.03.2026 10:15:02.120 or 10:15:02.120"
+        ways = "write the times so, or state rate_hz, or time=none"
+        raise SourceError(f"{head.name}: {fault}; times that are read: {forms}; {ways}")
+    return None
 
 
 def _time_at_an_end(head: TableHead) -> int | None:
@@ -159,11 +189,13 @@ def _time_at_an_end(head: TableHead) -> int | None:
         return None
     rising = {}
     for word, k in _ends(head).items():
-        steps = np.diff(head.numbers(k))
-        if (steps >= 0).all() and (steps > 0).any():
+        if _rises(head.numbers(k)):
             rising[word] = k
-    if len(rising) > 1:
-        fault = f"{head.name}: the first and the last column rise"
+    # In a few lines a reading may rise, too, but not in even steps.
+    are_clear = all(_rises(head.numbers(k), MAX_UNEVEN) for k in rising.values())
+    if len(rising) > 1 or not are_clear:
+        verb = "rise" if len(rising) > 1 else "rises"
+        fault = f"{head.name}: the {' and the '.join(rising)} column {verb}"
         raise UnstatedError.between(fault, "time", [*rising], "columns")
     # A column 0, 1, 2, ... may count the lines.
     for k in rising.values():
@@ -171,6 +203,16 @@ def _time_at_an_end(head: TableHead) -> int | None:
             head.notes += (f"column {head.label(k)} rises in all lines: the times",)
             return k
     return None
+
+
+def _rises(numbers: npt.NDArray[np.float64], max_uneven: float = np.inf) -> bool:
+    """True if numbers rise in all lines; of a few lines, in steps of about one size."""
+    steps = np.diff(numbers)
+    if not ((steps >= 0).all() and (steps > 0).any()):
+        return False
+    if len(numbers) >= RISING_LINES or np.isinf(max_uneven):
+        return True
+    return len(steps) > 1 and bool(steps.max() <= max_uneven * steps.min())
 
 
 def _ends(head: TableHead) -> dict[str, int]:
@@ -183,21 +225,28 @@ def _ask_for_times(head: TableHead) -> None:
 
     A column whose name has a number, or that is stated, is a taxel; one that rises by 1 counts.
     """
-    if len(head.data) < RISING_LINES:
+    n_least = EVEN_LINES if any(head.names) else RISING_LINES
+    if len(head.data) < n_least:
         return
     taxels = stated_columns(head.layout.columns, head.names, head.width, head.name)
     rising = []
     for k in head.numeric:
         is_named = head.is_indexed(k) or head.names[k].lower() in FRAME_WORDS
-        if k not in taxels and not is_named and are_likely(head.numbers(k)):
+        numbers = head.numbers(k)
+        if k in taxels or is_named or not _rises(numbers, SAME_STEPS):
+            continue
+        if are_likely(numbers):
             rising.append(k)
     # Where all columns rise, it is the load that does.
     if not rising or len(rising) == len(head.numeric):
         return
     columns = "column rises" if len(rising) == 1 else "columns rise"
     fault = f"{head.name}: {len(rising)} {columns} in all lines"
+    keys = _keys(head, rising)
+    if len(head.data) < RISING_LINES:
+        raise UnstatedError.between(fault, "time", [*keys, "none"])
     otherwise = "time=none, if these are no times"
-    raise UnstatedError.between(fault, "time", _keys(head, rising), otherwise)
+    raise UnstatedError.between(fault, "time", keys, otherwise)
 
 
 def _keys(head: TableHead, columns: Sequence[int]) -> list[str]:
@@ -213,6 +262,7 @@ def counters(head: TableHead) -> list[int]:
     if not has_no_names or len(head.data) < 3 or len(head.numeric) < 2:
         return []
     counting = {word: k for word, k in _ends(head).items() if _counts(head.numbers(k))}
+    # Where both ends count, it is a test pattern.
     if len(counting) != 1:
         return []
     ((word, column),) = counting.items()
@@ -232,6 +282,7 @@ def source_column(head: TableHead) -> int | None:
     columns = [k for k, name in enumerate(head.names) if name.lower() in SOURCE_WORDS]
     if not head.layout.columns:
         columns += [k for k in range(head.width) if _takes_turns(head, k)]
+    # Two skins that are read as one would be a force that jumps with each frame.
     for k in columns:
         skins = list(dict.fromkeys(head.cells(k)))
         if frame_id in skins:
@@ -254,9 +305,11 @@ def _takes_turns(head: TableHead, k: int) -> bool:
     cells = head.cells(k)
     skins = list(dict.fromkeys(cells))
     n = len(skins)
-    if not 1 < n <= MAX_SKINS or n == len(cells):
+    is_place = head.names[k].lower() in (*ROW_WORDS, *COL_WORDS, "variable")
+    if is_place or not 1 < n <= MAX_SKINS or n == len(cells):
         return False
     if k in head.numeric:
+        # Numbers that repeat may be readings of a coarse converter; a round is no accident.
         goes_round = all(cell == skins[at % n] for at, cell in enumerate(cells))
         is_named = bool(head.names[k]) and not head.is_indexed(k)
         is_whole = all(map(str.isdecimal, skins))

@@ -10,7 +10,7 @@ import numpy as np
 from sparseskin.nodes.errors import SourceError
 from sparseskin.nodes.sensor.files.recording import File
 from sparseskin.nodes.sensor.layout.checks import is_missing, shown
-from sparseskin.nodes.sensor.layout.layout import UnstatedError
+from sparseskin.nodes.sensor.layout.layout import UnstatedError, listed
 from sparseskin.nodes.sensor.layout.names import COL_WORDS, ROW_WORDS, pattern_of
 from sparseskin.nodes.sensor.layout.times import are_likely, is_time_name, rate_of
 
@@ -20,7 +20,7 @@ from .sample import (
     GRID,
     LINES,
     LONG,
-    MAX_SHOWN,
+    TAXEL_WORDS,
     Line,
     LongColumns,
     Place,
@@ -47,7 +47,8 @@ FORMED = 4
 """The same of one that rises and has another number of decimals than all lines below, and least
 number of these. Chosen."""
 RATE_LINE = re.compile(
-    r"\W*([A-Za-z][A-Za-z_ ()\[\]]*?)\W*(\d*\.?\d+)\s*((?:1/)?[A-Za-z/]*)[\s\",;]*"
+    r"\W*([A-Za-z][A-Za-z_ ()\[\]]*?)\W*(\d*\.?\d+)(?:[\s,;]+\2)*\s*((?:1/)?[A-Za-z/]*)"
+    r"[\s\",;]*"
 )
 """Lines before a table that may state its rate, or the time from frame to frame."""
 TITLE_TIME = re.compile(
@@ -61,27 +62,9 @@ NUMBER_LINE = re.compile(r"[^\w.+-]*[A-Za-z_]*\W*?(\d+(?:\.\d+)?)\W*")
 FRAME_NAME = re.compile(r"frame|img|image|sample|row|line|t\d|\W*\d", re.IGNORECASE)
 """Begin of names of frames, and of rows of a grid, which are none of taxels."""
 EXCEL_LINE = re.compile(r"sep=(.)", re.IGNORECASE)
-VALUE_WORDS = [
-    "value",
-    "val",
-    "v",
-    "force",
-    "pressure",
-    "reading",
-    "data",
-    "count",
-    "counts",
-]
-TAXEL_WORDS = [
-    "taxel",
-    "taxel_id",
-    "sensor",
-    "sensor_id",
-    "channel",
-    "cell",
-    "electrode",
-    "id",
-]
+VALUE_WORDS = (
+    *("value", "val", "v", "force", "pressure", "reading", "data", "count", "counts"),
+)
 
 
 def read_head(file: File) -> TableHead:
@@ -98,6 +81,7 @@ def read_head(file: File) -> TableHead:
     if head.kind == LINES:
         _ask_for_axes(head)
         head.source = source_column(head)
+    # What is found in the times has to be that of one skin.
     source = head.source
     if source is not None:
         skin = head.layout.frame_id
@@ -126,6 +110,7 @@ def _sampled(file: File) -> TableHead:
     if excel is not None:
         separator = excel[1]
         n_skipped = max(n_skipped, 1)
+    # The last two thirds: a preamble stands before them.
     bodies = [text for text in texts[n_skipped:] if _is_body(text)]
     if not bodies:
         raise SourceError(f"{file.name}: the recording holds no frame")
@@ -196,9 +181,12 @@ def _find_data(head: TableHead) -> None:
 
     # Numbers above lines of taxels are the times.
     counts = _count_columns(cells)
-    rows = [line.cells[: head.width] for line in later]
-    is_labelled = bool(rows) and _are_labels(cells, rows)
+    # Labels may stand above each frame of a grid.
+    rows = [line.cells[: head.width] for line in later if line.text != top.text]
+    is_repeated = counts and 0 < len(rows) < len(later)
+    is_labelled = is_repeated or (bool(rows) and _are_labels(cells, rows))
     is_labelled = is_labelled and (counts or not head.layout.axes)
+    head.is_labelled = is_labelled
     if is_labelled or _is_header(cells, rows):
         # Positions are no names: their digits count nothing.
         if not is_labelled or counts:
@@ -211,7 +199,7 @@ def _find_data(head: TableHead) -> None:
     else:
         _ask_for_label(head, top, rows)
         head.data = lines
-        _name_by_comment(head, top.number)
+        _name_by_line_before(head, top.number)
         if head.width > 1 and counts:
             note = "the first line counts: it is read as a frame; skip=1 if it is names"
             head.notes += (note,)
@@ -245,7 +233,7 @@ def _is_header(cells: Sequence[str], rows: Sequence[Sequence[str]]) -> bool:
         if not cell or is_value(cell):
             continue
         n_values = sum(is_value(row[k]) for row in rows)
-        # A single text above numbers is enough: a name.
+        # A single text above numbers is enough: a name. Others may be numbers, as of pandas.
         if 2 * n_values > len(rows):
             return True
     return False
@@ -319,25 +307,37 @@ def _count_columns(cells: Sequence[str]) -> bool:
     return n > 0 and counted in counts
 
 
-def _name_by_comment(head: TableHead, first_number: int) -> None:
-    """Names of columns in the comment before the data, as np.savetxt writes them."""
-    texts_before = [
-        line.text.strip() for line in head.raw if line.number < first_number
-    ]
-    comment = next(filter(None, reversed(texts_before)), "")
-    if not comment.startswith(COMMENTS):
+def _name_by_line_before(head: TableHead, first_number: int) -> None:
+    """Names of columns in the line before the data: a comment, as np.savetxt writes it, or a line
+    of one name more, of a last column that is empty, or one less, of an index.
+    """
+    earlier = [line.text for line in head.raw if line.number < first_number]
+    earlier = [text for text in earlier if text.strip()]
+    if not earlier:
         return
-    names = tuple(head.dialect.cells(comment.lstrip("#%/ ")))
-    if len(names) != head.width or any(map(is_number, names)):
-        return
-    if any(is_time_name(name) or re.search(r"\d", name) for name in names):
-        head.names = names
+    text = earlier[-1].strip()
+    is_comment = text.startswith(COMMENTS)
+    names = head.dialect.cells(text.lstrip("#%/ ") if is_comment else text)
+    n_indexed = sum(bool(re.search(r"\d", name)) for name in names)
+    # A title of so many words has no numbers in most of them.
+    are_words = all(re.fullmatch(r'"?[A-Za-z_][\w.]*"?', name) for name in names)
+    if not is_comment and are_words and 2 * n_indexed > len(names):
+        if len(names) == head.width - 1:
+            names = ["", *names]
+        names = names[: max(head.width, len(names) - 1)]
+        head.header = earlier[-1]
+    has_names = n_indexed or any(map(is_time_name, names))
+    if len(names) == head.width and has_names and not any(map(is_number, names)):
+        head.names = tuple(names)
+    else:
+        head.header = ""
 
 
 def _find_numeric(head: TableHead) -> None:
     """Find the columns of which most cells that are not missing are numbers, and some is; and those
     of missing numbers alone that are named like these: taxels that are dead.
     """
+    # Most, not all: one damaged cell is refused where it stands, and hides no column.
     empty = []
     numeric = []
     markers = head.layout.missing_texts
@@ -369,24 +369,48 @@ def _find_kind(head: TableHead, has_parts: bool) -> None:
         sides = " x ".join(str(place.size) for place in head.long.places)
         head.notes += (f"a line for each taxel: {sides}",)
         return
-    is_named = head.header or head.dialect.names
-    if is_named or layout.columns or layout.time not in ("", "none"):
+    n_headers = sum(line.text == head.header for line in head.raw)
+    # Positions above each frame name no columns.
+    are_positions = head.is_labelled and n_headers > 1
+    is_named = bool(head.header) and not are_positions
+    if (
+        is_named
+        or head.dialect.names
+        or layout.columns
+        or layout.time not in ("", "none")
+    ):
         return
 
     n_stated = layout.n_stated or 0
     heights = _block_heights(head)
+    # The last block may be cut: two whole ones show that all have one height.
     is_even = len(heights) > 1 and len({*heights[:-1]}) == 1 and heights[0] > 1
-    if n_stated > head.width == layout.n_cols:
+    is_even = is_even and (len(heights) > 2 or len({*heights}) == 1)
+    head.n_labels = _n_labels(head, layout.n_rows or heights[0])
+    width = head.width - head.n_labels
+    if n_stated > width == layout.n_cols:
         head.height = layout.n_rows or 1
     elif is_even and not n_stated:
         head.height = heights[0]
     elif has_parts and not n_stated:
         head.height = sum(heights)
     else:
+        head.n_labels = 0
         return
     head.kind = GRID
-    note = f"a frame is a block of {head.height} lines of {head.width} readings"
+    note = f"a frame is a block of {head.height} lines of {width} readings"
+    if head.n_labels:
+        note += ", behind the numbers of the rows"
     head.notes += (note,)
+
+
+def _n_labels(head: TableHead, height: int) -> int:
+    """1 if the first column counts the lines of each frame, else 0."""
+    numbers = head.numbers(0)
+    if height < 2 or head.width < 2 or len(numbers) < 2 * height:
+        return 0
+    expected = numbers[0] + np.arange(len(numbers)) % height
+    return int(numbers[0] in (0, 1) and np.array_equal(numbers, expected))
 
 
 def _is_row(head: TableHead, line: Line) -> bool:
@@ -398,7 +422,7 @@ def _block_heights(head: TableHead) -> list[int]:
     heights = [0]
     for line in head.raw:
         is_row = line.number > head.n_before and _is_row(head, line)
-        if is_row:
+        if is_row and line.text != head.header:
             heights[-1] += 1
         elif heights[-1]:
             heights.append(0)
@@ -472,6 +496,7 @@ def _find_rate(head: TableHead) -> None:
         if match is not None and line.number <= head.n_before:
             rate_hz = rate_of(match[1], float(match[2]), match[3].lower())
             rates[rate_hz] = line.text.strip()
+    # Several rates are those of several devices: none is chosen.
     rates.pop(0.0, None)
     if len(rates) == 1:
         ((head.rate_hz, text),) = rates.items()
@@ -507,11 +532,9 @@ def _ask_for_titles(head: TableHead) -> None:
 
 def _note_texts(head: TableHead) -> None:
     """Note decimal commas, and the columns that hold no numbers and no times."""
-    if head.dialect.has_decimal_comma:
+    if head.dialect.comma == ".":
         head.notes += ("commas are decimal points",)
     texts = [k for k in range(head.width) if k not in head.numeric and k != head.time]
     if texts:
-        labels = ", ".join(head.label(k) for k in texts[:MAX_SHOWN])
-        if len(texts) > MAX_SHOWN:
-            labels += ", ..."
+        labels = listed([head.label(k) for k in texts])
         head.notes += (f"no numbers, and left out: column {labels}",)

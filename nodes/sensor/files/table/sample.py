@@ -27,6 +27,11 @@ FRAME_WORDS = (
     "seq",
     "n",
 )
+TAXEL_WORDS = (
+    *("taxel", "taxel_id", "sensor", "sensor_id", "channel", "cell", "electrode", "id"),
+    "variable",
+)
+"""Names of columns that state which taxel a line is of."""
 LINES = "lines"
 GRID = "grid"
 LONG = "long"
@@ -76,6 +81,7 @@ class TableHead:
     data: list[Line] = field(default_factory=list)  # those of them that hold readings
     n_before: int = 0  # lines before the first one of data
     has_trailing: bool = False  # a separator ends each line
+    is_labelled: bool = False  # the names are positions: a line of 1, 2, 3, ...
     header: str = ""  # the line of the names
     units: str = ""  # the line of units
     names: Sequence[str] = ()
@@ -87,6 +93,7 @@ class TableHead:
     rate_hz: float | None = None  # as a line before the table states it
     kind: str = LINES
     height: int = 1  # lines of a frame of a grid
+    n_labels: int = 0  # columns before its readings: the numbers of the rows
     long: LongColumns | None = None
     source: int | None = None  # column by which lines of one skin are chosen
     notes: tuple[str, ...] = ()

@@ -28,10 +28,15 @@ from sparseskin.nodes.sensor.layout.checks import (
 )
 from sparseskin.nodes.sensor.layout.layout import UnstatedError
 from sparseskin.nodes.sensor.layout.tally import Tally
-from sparseskin.nodes.sensor.layout.times import CLOCK_UNIT, ISO, clock_ns, iso_ns
+from sparseskin.nodes.sensor.layout.times import (
+    CLOCK_UNIT,
+    ISO,
+    dated_clock_ns,
+    iso_ns,
+)
 
 from .head import EXCEL_LINE, read_head
-from .sample import GRID, LONG, is_number
+from .sample import GRID, LONG, is_number, is_value
 from .text import COMMENTS, pieces
 
 HEXADECIMAL = re.compile(
@@ -85,7 +90,8 @@ class TableRecording(Recording):
         axes: tuple[Axis, ...] = (Axis(head.width, "columns", tuple(head.names)),)
         usable: tuple[int, ...] | None = head.usable
         if head.kind == GRID:
-            axes = (Axis(head.height, "rows"), Axis(head.width, "cols"))
+            width = head.width - head.n_labels
+            axes = (Axis(head.height, "rows"), Axis(width, "cols"))
             usable = None
         elif head.long is not None:
             axes = head.long.axes
@@ -147,6 +153,7 @@ class TableRecording(Recording):
         for piece in pieces(file, name):
             lines: list[DataLine] = []
             last_number = piece.number + len(piece.lines) - 1
+            # Each line is data, or is counted under a name.
             for number, text in enumerate(piece.lines, start=piece.number):
                 if number <= n_before:
                     label = self._before_as(text, number)
@@ -187,12 +194,24 @@ class TableRecording(Recording):
             return "lines between frames"
         if is_cut and len(head.dialect.cells(text)) < head.width:
             return "cut last line"
+        # What a board prints while it starts.
+        if text[0].isalpha() and not self._may_be_data(text):
+            return "lines of text"
+        # Counted by name: whoever states a skin sees how many lines are those of others.
         if head.source is not None:
             cells = head.dialect.cells(text)
             source = cells[head.source : head.source + 1]
             if source not in ([], [self._layout.frame_id]):
                 return "lines of other skins"
         return ""
+
+    def _may_be_data(self, text: str) -> bool:
+        """True if a line that begins with a letter may be one of data, or a part of one."""
+        head = self._head
+        if 0 not in (*head.numeric, head.time):
+            return True
+        cells = head.dialect.cells(text)
+        return head.has_width(cells) or any(map(is_value, cells))
 
     def _is_grid_row(self, text: str) -> bool:
         """True if a line is one of a grid, perhaps with another number of cells: an error."""
@@ -206,6 +225,7 @@ class TableRecording(Recording):
         return is_reading and len(cells) == self._head.width
 
     def _parsed(self, lines: Sequence[DataLine]) -> Parsed:
+        # NumPy reads a block at once; what it refuses is read line by line, for the place.
         numbers = None
         if self._head.dialect.is_plain:
             numbers = self._numbers_of_plain([line.text for line in lines])
@@ -309,12 +329,18 @@ class TableRecording(Recording):
         assert head.time is not None
         cell = cells[head.time]
         where = f"{self._place(line)}, time"
+        if is_missing(cell):
+            # Below the names may stand the numbers of samples, or gains.
+            fault = f"{where}: {shown(cell)} is not a number"
+            raise UnstatedError(fault, {"skip": line.number})
+        # Python's whole numbers: float64 has no nanoseconds since 1970.
         if head.nanoseconds is not None:
             seconds = parse_number(cell, where, -1e10, 1e10)
             part_ns = parse_number(cells[head.nanoseconds], where, 0, 1e9)
             return round(seconds) * 10**9 + round(part_ns)
         if head.time_unit in (ISO, CLOCK_UNIT):
-            instant = iso_ns(cell) if head.time_unit == ISO else clock_ns(cell)
+            read = iso_ns if head.time_unit == ISO else dated_clock_ns
+            instant = read(cell)
             if instant is None:
                 fault = f"{shown(cell)} is no time as those before it"
                 raise SourceError(f"{where}: {fault}")
@@ -326,6 +352,7 @@ class TableRecording(Recording):
     def _grids(self) -> Iterator[Block]:
         """Frames of several lines; a block between other lines is a whole number of frames."""
         height = self._head.height
+        # A frame may begin in one piece of the file and end in the next.
         rows = np.empty((0, self._head.width))
         for lines, new_rows, _ in self._rows():
             for k, line in enumerate(lines):
@@ -340,7 +367,8 @@ class TableRecording(Recording):
             n_whole = n_frames * height
             if n_frames:
                 self.tally.take(n_whole, n_frames)
-                yield Block(rows[:n_whole].reshape(n_frames, height, -1))
+                frames = rows[:n_whole].reshape(n_frames, height, -1)
+                yield Block(frames[:, :, self._head.n_labels :])
             rows = rows[n_whole:]
         self.tally.drop("lines of a cut last frame", len(rows))
 
@@ -387,9 +415,10 @@ class TableRecording(Recording):
             )
             sides = " x ".join(map(str, sizes))
             fault = f"{text} is outside {sides}, as of the first frame"
-            raise SourceError(f"{self._file.name}: {fault}")
+            way = "the lines of a frame have to follow each other: sort the file by its frames"
+            raise SourceError(f"{self._file.name}: {fault}; {way}")
 
-        # Taxels that have no line in a frame are missing.
+        # Taxels that have no line in a frame are missing: not 0, which would be a force.
         shape = (len(begins), *sizes)
         numbers = np.full(shape, np.nan)
         cells = np.ravel_multi_index((frame, *places.T.astype(np.intp)), shape)

@@ -7,8 +7,9 @@ import csv
 import json
 import re
 from collections import Counter
-from collections.abc import Callable, Iterator, Sequence
-from typing import IO, Any, NamedTuple
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from itertools import chain
+from typing import IO, Any, NamedTuple, TypeVar
 
 from sparseskin.nodes.errors import SourceError
 from sparseskin.nodes.sensor.files.recording import MAX_LINE_BYTES
@@ -21,14 +22,31 @@ there sooner.
 """
 SEPARATORS = (";", "\t", ",", "|")
 PREFIX = re.compile(
-    r"\s*((?:\d{4}-\d\d-\d\d[ T])?[\d:.,]+)\s*(?:->|=>|:(?=\s*[\[(]))\s*"
+    r"\s*(?P<open>\[)?((?:\d{4}-\d\d-\d\d[ T])?[\d:.,]+)\s*"
+    r"(?(open)\]|(?:->|=>|:(?=\s*[\[(])))\s*(?=[^\s\],;])"
 )
-"""A time before the readings, as in "10:15:02.120 -> 1,2,3" or "0.25: [1, 2, 3]"."""
+"""A time before the readings, as in "10:15:02.120 -> 1,2,3", "[10:15:02.120] 1,2,3" or
+"0.25: [1, 2, 3]"."""
+LABEL = re.compile(r"\D[^,;|\t]*?[:>]\s*(?=[-+.\d])")
+"""A text before the readings that ends so, as in "I (120) SKIN: 1,2,3"."""
+NUMBER = re.compile(r"(?<![\w.])[-+]?\d+(?:\.\d*)?(?![\w.])")
+LIST = re.compile(
+    r"(?:[A-Za-z_.]+\((?:'\w+',)?\s*)?\[([^\[\]]*)\](?:,\s*dtype=\w+)?\)?"
+)
+"""A list of numbers, perhaps as Python prints an array of them."""
 BRACKETS = str.maketrans("", "", "[](){}")
-PAIR = re.compile(r"([A-Za-z_][\w.\[\]-]*)\s*[:=]\s*([^\s,;|]+)[\s,;|]*")
-"""A value behind its name, as in "t=120 s0=5" or "s0:5, s1:7"."""
+PAIR = re.compile(
+    r"([A-Za-z_][\w.\[\]-]*)\s*[:=]\s*([^\s,;|]+)"
+    r"(?:\s+[A-Za-zµ%°/²]+(?=\s*[,;|]|$))?[\s,;|]*"
+)
+"""A value behind its name, as in "t=120 s0=5" or "t: 20 ms, s0: 5"."""
+DECIMAL_COMMA = re.compile(r"[-+]?\d*,\d+(?:[eE][-+]?\d+)?")
+GROUPED = re.compile(r"[-+]?\d{1,3}(?:,\d{3})+(?:\.\d+)?")
+"""A number whose thousands are apart."""
 UTF_16 = (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)
 COMMENTS = ("#", "%", "//")
+
+_Any = TypeVar("_Any", str, tuple[str, ...], tuple[int, ...])
 
 
 class Piece(NamedTuple):
@@ -42,64 +60,84 @@ class Piece(NamedTuple):
 
 
 class Dialect(NamedTuple):
-    """How the cells of a line are separated; " " for any white space. `names` are those that each
-    line states beside its values, () where it states none.
+    """How the cells of a line are separated; " " for any white space.
+
+    `comma` is what stands for commas within numbers: "." or nothing; None: there are none.
+    `label` is a text before the readings of each line, with # for the numbers in it. `names` are
+    those that each line states beside its values. `lists` are the sizes of lists in the cells of a
+    line, 0 of a cell that is none; () where no cell is a list.
     """
 
     separator: str
-    has_decimal_comma: bool = False
+    comma: str | None = None
     has_prefix: bool = False
+    label: str = ""
     has_brackets: bool = False
     has_quotes: bool = False
     names: tuple[str, ...] = ()
+    lists: tuple[int, ...] = ()
 
     @property
     def is_plain(self) -> bool:
         """True if NumPy reads its lines of numbers as they are."""
-        return not (
-            self.has_decimal_comma
-            or self.has_prefix
-            or self.has_brackets
-            or self.has_quotes
-            or self.names
-        )
+        return self == Dialect(self.separator)
 
     def cells(self, line: str) -> list[str]:
         """The cells of a line."""
-        prefix = ""
+        prefix: list[str] = []
         if self.has_prefix:
             matched = PREFIX.match(line)
-            if matched:
-                prefix = matched[1].strip()
+            prefix = [matched[2].strip() if matched else ""]
+            line = line[matched.end() :] if matched else line
+        elif self.label:
+            matched = LABEL.match(line)
+            if matched and NUMBER.sub("#", matched[0]) == self.label:
+                prefix = NUMBER.findall(matched[0])
                 line = line[matched.end() :]
         if self.names:
             values = named_values(line)
             # The values of other names are none of these columns.
             cells = list(values.values()) if tuple(values) == self.names else []
         else:
-            if self.has_brackets:
-                line = line.translate(BRACKETS).replace('"', "")
-            cells = self._split(line)
-        if self.has_decimal_comma:
-            cells = [cell.replace(",", ".") for cell in cells]
-        if self.has_prefix:
-            return [prefix, *cells]
-        return cells
+            cells = self._values(line)
+        if self.comma is not None:
+            cells = [cell.replace(",", self.comma) for cell in cells]
+        return prefix + cells
 
-    def _split(self, line: str) -> list[str]:
+    def _values(self, line: str) -> list[str]:
+        """The cells of what stands behind a prefix; those of a list are apart."""
+        if not self.has_brackets:
+            return split(line, self.separator)
+        if self.lists and not LIST.search(line):
+            # A header: the name of a list is that of its entries.
+            names = split(line, self.separator)
+            if len(names) == len(self.lists):
+                entries = [
+                    [f"{name}[{k}]" for k in range(size)] or [name]
+                    for name, size in zip(names, self.lists, strict=True)
+                ]
+                return list(chain.from_iterable(entries))
+        line = LIST.sub(lambda match: self._joined(match[1]), line)
+        line = line.translate(BRACKETS).replace('"', "")
         if self.separator == " ":
-            if self.has_brackets:
-                line = line.replace(",", " ")
-            return line.split()
-        if '"' not in line:
-            return [cell.strip() for cell in line.split(self.separator)]
-        try:
-            row = next(
-                csv.reader([line], delimiter=self.separator, skipinitialspace=True)
-            )
-        except (csv.Error, StopIteration):
-            return []
-        return [cell.strip() for cell in row]
+            line = line.replace(",", " ")
+        return split(line, self.separator)
+
+    def _joined(self, content: str) -> str:
+        return self.separator.join(re.split(r"[\s,;]+", content.strip(" ,;")))
+
+
+def split(line: str, separator: str) -> list[str]:
+    """The cells of a line, without quotes and white space around them."""
+    if separator == " ":
+        return line.replace('"', "").split()
+    if '"' not in line:
+        return [cell.strip() for cell in line.split(separator)]
+    try:
+        row = next(csv.reader([line], delimiter=separator, skipinitialspace=True))
+    except (csv.Error, StopIteration):
+        return []
+    return [cell.strip() for cell in row]
 
 
 def pieces(file: IO[bytes], name: str) -> Iterator[Piece]:
@@ -116,6 +154,7 @@ def pieces(file: IO[bytes], name: str) -> Iterator[Piece]:
     number = 1
     size = FIRST_PIECE_BYTES
     is_first = True
+    # The whole file is never in memory: it may be larger.
     while data := file.read(size):
         size = min(2 * size, PIECE_BYTES)
         if not data.endswith(b"\n"):
@@ -149,21 +188,59 @@ def dialect_of(lines: Sequence[str]) -> Dialect:
     bodies = list(lines)
     if has_prefix:
         bodies = [PREFIX.sub("", line, count=1) for line in lines]
-    names = Counter(tuple(named_values(body)) for body in bodies)
-    usual_names, n_lines = names.most_common(1)[0]
-    if usual_names and 2 * n_lines > len(bodies):
-        return Dialect(",", has_prefix=has_prefix, names=usual_names)
+    names = _usual(tuple(named_values(body)) for body in bodies)
+    if names:
+        return Dialect(",", has_prefix=has_prefix, names=names)
+    label = ""
+    # A text that differs from line to line is a name, as of a taxel, and stays.
+    if not has_prefix:
+        matches = (LABEL.match(body) for body in bodies)
+        label = _usual(NUMBER.sub("#", m[0]) if m else "" for m in matches)
+        bodies = [LABEL.sub("", body, count=1) for body in bodies] if label else bodies
     has_brackets = _are_most(
         bodies, lambda line: re.search(r"[\[({]\s*[-+.\d]", line) is not None
     )
     separator = _separator(bodies)
-    has_decimal_comma = separator in (";", "\t", " ") and _have_decimal_commas(
-        bodies, separator
-    )
-    if separator == " " and has_brackets and any("," in body for body in bodies):
-        separator = ","
     has_quotes = any('"' in line for line in lines)
-    return Dialect(separator, has_decimal_comma, has_prefix, has_brackets, has_quotes)
+    dialect = Dialect(separator, None, has_prefix, label, has_brackets, has_quotes)
+    if not has_brackets:
+        return dialect._replace(comma=_comma(bodies, separator))
+    if separator == " " and any("," in body for body in bodies):
+        separator = ","
+    lists = _usual(tuple(_list_sizes(body, separator)) for body in bodies)
+    return dialect._replace(separator=separator, lists=lists if any(lists) else ())
+
+
+def _usual(values: Iterable[_Any]) -> _Any:
+    """The value of most lines; an empty one if there is none."""
+    counts = Counter(values)
+    value, n_lines = counts.most_common(1)[0]
+    return value if 2 * n_lines > counts.total() else type(value)()
+
+
+def _list_sizes(line: str, separator: str) -> Iterator[int]:
+    """Sizes of the lists in the cells of a line, 0 of a cell that is none."""
+    mark = "\1"
+    marked = LIST.sub(
+        lambda match: mark * len(match[1].replace(",", " ").split()), line
+    )
+    for cell in split(marked, separator):
+        yield cell.count(mark)
+
+
+def _comma(lines: Sequence[str], separator: str) -> str | None:
+    """What commas within the numbers of lines stand for: ".", nothing if they group thousands, or
+    None where there are none.
+    """
+    cells = [cell.strip('" ') for line in lines for cell in split(line, separator)]
+    if separator == ",":
+        # As a spreadsheet writes numbers with commas: each in quotes.
+        with_comma = [cell for cell in cells if "," in cell]
+        if with_comma and all(map(GROUPED.fullmatch, with_comma)):
+            has_point = any(re.fullmatch(r"[-+]?\d*\.\d+", cell) for cell in cells)
+            return "" if has_point else None
+    is_decimal = any(re.fullmatch(DECIMAL_COMMA, cell) for cell in cells)
+    return "." if is_decimal and separator != "|" else None
 
 
 def named_values(line: str) -> dict[str, str]:
@@ -172,6 +249,9 @@ def named_values(line: str) -> dict[str, str]:
     """
     values: dict[str, str] = {}
     if line.lstrip().startswith("{"):
+        # A dictionary as Python prints it has other quotes.
+        if '"' not in line:
+            line = line.replace("'", '"')
         try:
             # Numbers stay as they are written: whole ones of any size are exact.
             content = json.loads(
@@ -199,6 +279,7 @@ def _add_values(values: dict[str, str], name: str, content: Any) -> None:
         for k, entry in enumerate(content):
             _add_values(values, f"{name}[{k}]", entry)
     elif content is None:
+        # As an empty cell: a reading that is missing.
         values[name] = ""
     else:
         values[name] = str(content)
@@ -206,6 +287,7 @@ def _add_values(values: dict[str, str], name: str, content: Any) -> None:
 
 def _separator(lines: Sequence[str]) -> str:
     """The separator that stands in most lines."""
+    # Semicolons before commas, which may be decimal.
     for separator in SEPARATORS:
         n_lines = sum(separator in line for line in lines)
         is_decimal = separator == "," and _is_decimal(lines)
@@ -222,17 +304,12 @@ def _is_decimal(lines: Sequence[str]) -> bool:
     return 2 * len(rows) > len(lines) and 2 * len(numbers) > len(cells)
 
 
-def _have_decimal_commas(lines: Sequence[str], separator: str) -> bool:
-    split = None if separator == " " else separator
-    cells = [cell.strip(' "') for line in lines for cell in line.split(split)]
-    return any(re.fullmatch(r"[-+]?\d*,\d+(?:[eE][-+]?\d+)?", cell) for cell in cells)
-
-
 def _are_most(lines: Sequence[str], holds: Callable[[str], bool]) -> bool:
     return 2 * sum(map(holds, lines)) > len(lines)
 
 
 def _decoded(data: bytes) -> str:
+    # By pieces: a degree sign of Latin-1 in a comment does not change the rest.
     try:
         return data.decode("utf-8")
     except UnicodeDecodeError:

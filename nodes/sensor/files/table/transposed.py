@@ -36,6 +36,7 @@ class TransposedTable(Recording):
         self.tally = Tally("columns")
         self._file = file
         self._layout = file.layout
+        # A line is read as if it were a frame: the rules of tables hold for it.
         of_lines = replace(file, layout=file.layout.stating(OF_LINES))
         self._lines = TableRecording(of_lines)
 
@@ -73,6 +74,7 @@ class TransposedTable(Recording):
     @cached_property
     def _names(self) -> tuple[str, ...]:
         """Names of the lines, "" of those that have none."""
+        # Without names the lines count; their order is that of the taxels.
         names = self._lines.texts_of_lines()
         return names or ("",) * self._frames.shape[1]
 

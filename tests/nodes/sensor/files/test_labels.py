@@ -184,7 +184,7 @@ def test_names_that_count_columns_in_any_order_are_no_frame(
 )
 def test_a_number_beside_an_array_states_its_rate(tmp_path, name, value):
     path = tmp_path / "a.npz"
-    np.savez(path, data=np.ones((5, 4, 3)), **{name: value})
+    np.savez(path, forces=np.ones((5, 4, 3)), **{name: value})
     assert open_file(path).rate_hz == pytest.approx(50)
 
 

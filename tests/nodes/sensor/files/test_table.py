@@ -8,7 +8,7 @@ import zipfile
 import numpy as np
 import pytest
 from damaged import npy, npz, refusal
-from drawn_tables import tables, transposed_tables
+from drawn_tables import grids, logs, tables, transposed_tables
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
@@ -26,6 +26,7 @@ from sparseskin.nodes.sensor.files.file_source import (
     n_taxels,
     open_file,
 )
+from sparseskin.nodes.sensor.files.survey import Needs
 from sparseskin.nodes.sensor.files.table.table import TableRecording
 from sparseskin.nodes.sensor.layout.layout import Layout
 from sparseskin.nodes.sensor.missing import MissingReadings
@@ -46,7 +47,7 @@ def read(folder, text, **stated):
 
 
 @FORGIVING
-@given(table=tables() | transposed_tables())
+@given(table=tables() | transposed_tables() | logs() | grids())
 def test_a_drawn_table_is_read_as_it_was_written(tmp_path, table):
     source = read(tmp_path, table.text, **table.stated)
     np.testing.assert_array_equal(source.frames, table.frames)
@@ -489,7 +490,8 @@ def treated(layout, folder):
 def test_invalid_readings_become_what_the_settings_say(
     tmp_path, nan, negative, expected, mask
 ):
-    source = treated(Layout(nan=nan, negative=negative, f_max=10.0), tmp_path)
+    shape = {"n_rows": 2, "n_cols": 2}
+    source = treated(Layout(nan=nan, negative=negative, f_max=10.0, **shape), tmp_path)
     readings = MissingReadings(nan, source.skin, learns=False)
     filled = [readings.fill(frame, 0) for frame in source.frames]
     assert [found and found[0].ravel().tolist() for found in filled] == expected
@@ -518,7 +520,11 @@ def test_a_sensor_counts_invalid_readings_in_its_log_and_report(tmp_path):
     np.save(tmp_path / "a.npy", BAD)
     lines = []
     chosen = SensorSettings(
-        source=f"file:{tmp_path / 'a.npy'}", nan="hold", negative="offset"
+        source=f"file:{tmp_path / 'a.npy'}",
+        nan="hold",
+        negative="offset",
+        n_rows=2,
+        n_cols=2,
     )
     sensor = Sensor(chosen, Context("sensor", ManualClock(0), lines.append))
     list(sensor.start())
@@ -528,6 +534,20 @@ def test_a_sensor_counts_invalid_readings_in_its_log_and_report(tmp_path):
     ]
     counts = {"not_finite": 2, "negative": 2, "masked_taxels": 0, "offset": -3.0}
     assert sensor.report()["invalid"] == counts
+
+
+def test_a_look_reads_the_begin_alone_and_says_so(tmp_path, monkeypatch):
+    monkeypatch.setattr(file_source, "LOOK_BYTES", 100_000)
+    lines = [f"{k % 11},{k % 7},{k % 5},{k % 3}\n" for k in range(60_000)]
+    (tmp_path / "log.csv").write_text("".join(lines) + "1,2\n")
+    layout = Layout(n_rows=2, n_cols=2, unit="counts", time="none")
+    source = open_file(tmp_path / "log.csv", layout, needs=Needs(begin=True))
+    n = len(source.frames)
+    assert n < 60_000
+    said = f"the first {n} frames alone were read: import reads and checks all"
+    assert said in source.notes
+    with pytest.raises(SourceError, match="line 60001: holds 2 cells; 4 are expected"):
+        open_file(tmp_path / "log.csv", layout)
 
 
 MB = 1_000_000
