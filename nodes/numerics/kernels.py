@@ -141,6 +141,8 @@ class DoubtConstants(NamedTuple):
     """The same in `outlying`, beyond which a larger one does not count."""
     certain: float
     """Least part that is not doubted."""
+    unknown: float
+    """Variance of a row that was not read yet, a number of float32."""
 
 
 class Estimate(NamedTuple):
@@ -699,39 +701,60 @@ def compare(
 
 
 @compiled(sums_in_any_order=True)
+def squared_changes(
+    measured: Measured, x_rows: A, filters: Filters, unknown: float
+) -> tuple[D, D]:
+    """Squares of what the values have changed by since the last estimate; and, of rows that were
+    read before, the smaller ones of these and of what they differ from the filters by.
+    """
+    read = measured.read
+    values = measured.values
+    mean = filters.mean
+    variance = filters.variance
+    squares = np.empty(read.size)
+    unexplained = np.empty(read.size)
+    for i in range(read.size):
+        row = read[i]
+        change = np.float64(values[i] - x_rows[row])
+        squares[i] = change**2
+        unexplained[i] = squares[i]
+        if variance[row] < unknown:
+            off_mean = np.float64(values[i] - mean[row])
+            unexplained[i] = min(squares[i], off_mean**2)
+    return squares, unexplained
+
+
+@compiled(sums_in_any_order=True)
 def doubt_values(
     received: Received,
     measured: Measured,
     x_rows: A,
+    filters: Filters,
     noise: float,
     constants: DoubtConstants,
 ) -> None:
     """Set doubt and excess of the values, as in `FrameVectors`."""
-    read = measured.read
-    values = measured.values
     block = received.block
     n_blocks = received.n_blocks
+    squares, unexplained = squared_changes(measured, x_rows, filters, constants.unknown)
     # The last place, -1, is of the values that are not compared.
     count = np.zeros(n_blocks + 1)
     total = np.zeros(n_blocks + 1)
     # Of each block the two largest squares: a second outlier must not excuse the first.
     largest = np.zeros(n_blocks + 1)
     second = np.zeros(n_blocks + 1)
-    squares = np.empty(read.size)
-    for i in range(read.size):
+    for i in range(squares.size):
         number = block[i]
-        unexpected = values[i] - x_rows[read[i]]
-        square = np.float64(unexpected) ** 2
-        squares[i] = square
+        square = squares[i]
         count[number] += 1
         total[number] += square
         lesser = min(square, largest[number])
         second[number] = max(second[number], lesser)
         largest[number] = max(largest[number], square)
 
-    expected = np.empty(read.size)
+    expected = np.empty(squares.size)
     per_other = 1 / np.maximum(count - 2, 1.0)
-    for i in range(read.size):
+    for i in range(squares.size):
         number = block[i]
         square = squares[i]
         largest_other = second[number] if square == largest[number] else largest[number]
@@ -746,13 +769,13 @@ def doubt_values(
     outlying = constants.outlying
     clear_ratio = constants.clear_ratio
     certain = constants.certain
-    for i in range(read.size):
-        ratio = min(squares[i] / (outlying * expected[i] + TINY), clear_ratio)
+    for i in range(squares.size):
+        ratio = min(unexplained[i] / (outlying * expected[i] + TINY), clear_ratio)
         power = ratio * ratio * ratio * ratio
         doubted = max(power / (1 + power), np.float64(faulty[i]))
         doubt[i] = doubted
         believed = np.float64(_1 - np.float32(doubted)) + certain
-        excess[i] = doubted * squares[i] / believed
+        excess[i] = doubted * unexplained[i] / believed
 
 
 @compiled(sums_in_any_order=True)
@@ -797,6 +820,7 @@ def skin_begin(
     constants: DoubtConstants,
     measured: Measured,
     estimate: Estimate,
+    filters: Filters,
     neighbours: P2,
     transform: Transform,
     slopes: Slopes,
@@ -811,7 +835,7 @@ def skin_begin(
     squares, largest_y, change_y = compare(
         y, received, np.float32(bias), measured.values
     )
-    doubt_values(received, measured, estimate.rows, noise, constants)
+    doubt_values(received, measured, estimate.rows, filters, noise, constants)
 
     x = estimate.x
     n = x.size

@@ -69,7 +69,7 @@ class CompiledVectors(Vectors):
         )
         self._has_gates = int(gates is not None)
         self._doubt_constants = kernels.DoubtConstants(
-            tuning.outlying, CLEAR_RATIO, CERTAIN
+            tuning.outlying, CLEAR_RATIO, CERTAIN, float(np.float32(UNKNOWN))
         )
         self._step_constants = _step_constants(tuning)
         self._filter_constants = _filter_constants(tuning)
@@ -130,7 +130,8 @@ class CompiledVectors(Vectors):
                 *(subset.block, subset.n_blocks, subset.faulty),
             ),
             *(bias, noise, self._doubt_constants),
-            *(measured, self._estimate, self._neighbours, self._transform, slopes),
+            *(measured, self._estimate, self._filters),
+            *(self._neighbours, self._transform, slopes),
         )
         return Comparison._make(sums[:3]), MotionSums._make((*sums[3:], n_read, rows.n))
 

@@ -111,8 +111,15 @@ class FrameVectors(Vectors):
 
     def _doubt_values(self, subset: RowSubset, noise: float) -> None:
         """Set the part of each value that is doubted, and the variance that it adds."""
-        change = self._values - self._x_rows[self._rows.read]
+        read = self._rows.read
+        change = self._values - self._x_rows[read]
         squares = np.square(change, dtype=np.float64)
+
+        # What a row has read before is no garbage, though the estimate does not explain it.
+        off_mean = np.square(self._values - self._mean[read], dtype=np.float64)
+        smaller = np.minimum(squares, off_mean)
+        unexplained = np.where(self._variance[read] < UNKNOWN, smaller, squares)
+
         self.doubt = np.zeros(len(squares), dtype=np.float32)
         for number in range(subset.n_blocks):
             peers = np.flatnonzero(subset.block == number)
@@ -124,12 +131,12 @@ class FrameVectors(Vectors):
             # A second outlier must not excuse the first.
             sum_of_others = of_peers.sum() - of_peers - largest_other
             expected = sum_of_others / (len(peers) - 2) + noise
-            ratio = of_peers / (self._tuning.outlying * expected + TINY)
+            ratio = unexplained[peers] / (self._tuning.outlying * expected + TINY)
             power = np.minimum(ratio, CLEAR_RATIO) ** 4
             self.doubt[peers] = power / (1 + power)
         self.doubt = np.maximum(self.doubt, subset.faulty)
         self._certain: Any = np.float32(1) - self.doubt
-        excess = self.doubt * squares / (self._certain + CERTAIN)
+        excess = self.doubt * unexplained / (self._certain + CERTAIN)
         self._excess = excess.astype(np.float32)
 
     def _motion_sums(self) -> MotionSums:
