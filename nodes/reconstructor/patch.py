@@ -194,7 +194,7 @@ class Patch:
         n_steps = solver.n_steps
         most_steps, frame_s = steps_within(solver, phi, f_max, budget_ms / 1e3)
         usual, where = _usual_steps(solver, most_steps)
-        if usual < n_least:
+        if usual < min(n_least, n_steps):
             self.log(
                 f"{usual} of {n_steps} iterations{where}, for a budget of {budget_ms:.2g} ms: "
                 "a sudden contact takes several frames; advised: a larger budget_ms, a lower "

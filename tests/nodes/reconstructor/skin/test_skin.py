@@ -57,6 +57,18 @@ def phis_of(rows):
     return row_subsets(make_phi("sbhe", N, N // 3, seed=0), rows)
 
 
+@given(seed=st.integers(0, 99), peak_n=st.floats(0.2, 2.0))
+def test_where_all_rows_are_read_a_few_steps_are_enough(seed, peak_n):
+    truth = sliding_disc(SHAPE, 40, peak_n=peak_n)
+    readings = noisy(truth, seed=seed)
+    errors = {}
+    for iterations in (None, 24):
+        solver = SkinSolver(FullPhi(N, N, 0), HaarBasis(*SHAPE), iterations=iterations)
+        forces, _ = reconstructed(solver, [solver.phi], readings)
+        errors[solver.iterations] = np.linalg.norm(forces[10:] - truth[10:])
+    assert errors[4] < 1.15 * errors[24]
+
+
 def test_from_nothing_it_is_better_than_fista_of_more_iterations():
     phi = make_phi("sbhe", 1600, 533, seed=0)
     truth = sliding_disc((40, 40), 12)[-1]
