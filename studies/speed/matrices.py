@@ -12,8 +12,10 @@ import numpy as np
 from sparseskin.messages import SkinState, Taxels, decode
 from sparseskin.messages.wire import received, wire_bytes
 from sparseskin.nodes.compressor.phi.gaussian import N_MAX
+from sparseskin.nodes.compressor.phi.identity import FullPhi
 from sparseskin.nodes.numerics.arrays import Floats
 from sparseskin.nodes.process.proc import own_bytes
+from sparseskin.nodes.reconstructor.skin.solver import STEPS, STEPS_OF_ALL
 from sparseskin.nodes.sensor.noise import NoiseModel
 from sparseskin.studies.presses import noisy_skin, press_frames
 
@@ -27,7 +29,6 @@ QUICK_SIDES = (32,)
 N_FRAMES = 80
 WARM_UP = 40
 """First frames, left out: the press grows, and the solver adapts."""
-ITERATIONS = 8
 PERIOD_NS = 1_000_000
 
 
@@ -116,7 +117,9 @@ def _set_up(kind: str, ratio: float, state: SkinState) -> Pair:
     bytes_before = own_bytes(os.getpid())
     begin_s = time.process_time()
     edge = made_node("compressor", settings)
-    host = made_node("reconstructor", {"iterations": ITERATIONS})
+    # The default of each, whatever the rate of the skin leaves time for.
+    steps = STEPS_OF_ALL if settings["phi"] == FullPhi.kind else STEPS
+    host = made_node("reconstructor", {"iterations": steps})
     for message in (state, *edge.step(state)):
         list(host.step(message))
     set_up_s = time.process_time() - begin_s

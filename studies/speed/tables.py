@@ -369,7 +369,6 @@ def matrices_of(page: Page, quick: bool, seed: int) -> list[str]:
     page.section(
         "Measurement matrices",
         table,
-        iterations=matrices.ITERATIONS,
         n_frames=matrices.N_FRAMES - matrices.WARM_UP,
     )
     return cells(
