@@ -7,8 +7,9 @@
 
 #include "sparseskin.hpp"
 
-// A loop acts on no frame that is older than this, milliseconds.
+// Longest wait for a frame, and largest age of one that is acted on, milliseconds.
 constexpr long timeout_ms = 50;
+constexpr double oldest_ms = 20;
 
 int main(int n_arguments, char** arguments) {
     if (n_arguments != 3) {
@@ -32,6 +33,10 @@ int main(int n_arguments, char** arguments) {
                 continue;
             }
             const double age_ms = 1e3 * sparseskin::age_s(contacts, offset_ns);
+            if (age_ms > oldest_ms) {
+                std::puts("too old: hold");
+                continue;
+            }
             for (const sparseskin::Contact& contact : contacts.contacts) {
                 std::printf("contact %d: %.2f at (%.1f, %.1f), %.2f ms old\n", contact.id,
                             contact.total, contact.row, contact.col, age_ms);

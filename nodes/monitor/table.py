@@ -127,7 +127,8 @@ def _contacts(patches: Sequence[PatchMetrics]) -> list[str]:
         noise_sum = sum(m.solver.noise_sum for m in patches if m.solver is not None)
         if not noise_sum:
             return [f"{sum(loads):.3g} {unit}"]
-        return [f"{sum(loads):.3g} {unit}, about {noise_sum:.3g} {unit} of it noise"]
+        untouched = f"an untouched skin shows about {noise_sum:.3g} {unit}"
+        return [f"{sum(loads):.3g} {unit} ({untouched})"]
     if loads:
         return ["no contact"]
     return []
@@ -180,7 +181,9 @@ def doubts_text(patches: Iterable[Summary]) -> str:
     if n_untrusted == 1:
         are = "is"
     text = f"{n_untrusted} of {n_frames} frames {are} in doubt{_reasons(counts)}."
-    if counts[Reason.ERROR]:
+    # Where all taxels are read there are no more measurements.
+    compressed = [patch for patch in judged if patch.get("ratio") != 1]
+    if counts[Reason.ERROR] and compressed:
         remedy = "more measurements"
         if any(patch["rows"] != "rotating" for patch in judged):
             remedy += " or rotating rows"

@@ -19,6 +19,9 @@ from sparseskin.nodes.numerics.arrays import TINY, Mask
 
 from .solvers.base import solver_class, solver_fact
 
+FEW_TAXELS = 64
+"""Taxels up to which sums save few bytes: 4 x 4 taxels lose 1 % of the frames of sudden contacts at
+N/3 and 14 % at N/8. Chosen."""
 MAX_STEP = 4.0 / 3.0
 """Largest step, in 1 / L. Derived: a gradient step diverges beyond 2 / L, and with momentum beyond
 4 / (3 L)."""
@@ -67,6 +70,11 @@ def reconstruction_warnings(
         advised = "haar, or a solver that uses it"
         warnings.append(
             f"basis = {basis}: {solver} does not use it; advised: {advised}"
+        )
+    if m < n <= FEW_TAXELS:
+        warnings.append(
+            f"{n} taxels: sums of so few lose contacts, and save few bytes; advised: "
+            "compressor.phi = full"
         )
     if solver_fact(cls, "is_l1") and basis == "identity" and m < n:
         warnings.append(

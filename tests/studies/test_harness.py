@@ -9,6 +9,7 @@ from sparseskin.nodes.compressor.phi.base import make_phi
 from sparseskin.nodes.compressor.phi.rotation import FIXED
 from sparseskin.nodes.monitor.metrics import psnr_db
 from sparseskin.nodes.reconstructor.bases.base import make_basis
+from sparseskin.nodes.reconstructor.estimates.uncertainty import SCALE
 from sparseskin.nodes.reconstructor.settings import PRESETS
 from sparseskin.nodes.reconstructor.solvers.base import make_solver
 from sparseskin.nodes.sensor.noise import NoiseModel
@@ -145,13 +146,14 @@ def test_marks_and_estimates_are_compared_with_the_true_errors():
 @given(st.floats(0.01, 100), st.floats(-0.9, 2))
 def test_bands_of_the_true_error_do_not_depend_on_the_stated_one(stated, off):
     assume(abs(off) > 1e-3)
-    # Where all taxels are off alike, a deviation is 1.5 RMS errors, and a band 1.645 deviations.
-    assume(abs(stated * 1.5 * 1.645 - 1) > 1e-3)
+    # Where all taxels are off alike, a deviation is `SCALE` RMS errors, and a band 1.645 of these.
+    band = SCALE * 1.645
+    assume(abs(stated * band - 1) > 1e-3)
     truth = np.ones((4, 4), np.float32)
     scores = Scores()
     scores.add(Solved((1 + off) * truth, error=stated * abs(off)), truth)
     assert SCORES["held_by_true"](scores) == 100
-    assert SCORES["held"](scores) == 100 * (stated * 1.5 * 1.645 > 1)
+    assert SCORES["held"](scores) == 100 * (stated * band > 1)
 
 
 def test_first_frames_of_contacts_are_those_without_one_before():

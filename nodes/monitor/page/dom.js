@@ -50,7 +50,7 @@ export function brief(value, unit = "") {
 
 // What clipped noise adds to a total; "" if it adds nothing.
 export function noiseText(noiseSum, unit) {
-  return noiseSum > 0 ? `about ${brief(noiseSum, unit)} of it noise` : "";
+  return noiseSum > 0 ? `an untouched skin shows about ${brief(noiseSum, unit)}` : "";
 }
 
 // A value with its standard deviation, rounded to one digit of the latter.

@@ -300,3 +300,8 @@ def _as_text(names: Sequence[str], columns: Sequence[int]) -> str:
         return f"{begin + 1}-{end + 1}"
     patterns = {re.sub(r"\d+", "*", names[k]) for k in columns}
     return ",".join(sorted(patterns))
+
+
+def last_part(name: str) -> str:
+    """The last part of a name in lower case, where it is the path of a field, as "field.force"."""
+    return name.lower().rsplit(".", 1)[-1]

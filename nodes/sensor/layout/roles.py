@@ -44,7 +44,7 @@ ROLES_OF_ITEMS: tuple[tuple[Roles, ...], ...] = (
     tuple(permutations((ROWS, COLS, CHANNEL))),
 )
 """Roles of the axes of a frame, by their number, in order of preference."""
-# How unusual a way is: each of these is worse than all above it together.
+# How unusual a way is: none of these is outweighed by those above it together.
 WITH_TIME = 1  # a number more than taxels: the time
 MIDDLE = 1  # the channel stands between rows and columns
 TRANSPOSED = 2  # columns come before rows

@@ -397,7 +397,8 @@ def test_a_total_force_stands_beside_the_part_of_it_that_is_noise(noise_sums):
     if not any(noise_sums):
         assert f"{total} |" in line
         return
-    assert f"{total}, about {sum(noise_sums):.3g} N of it noise |" in line
+    untouched = f"an untouched skin shows about {sum(noise_sums):.3g} N"
+    assert f"{total} ({untouched}) |" in line
     table = patches["p0"].summary()
     assert table["noise_sum"] == noise_sums[0]
 

@@ -16,6 +16,7 @@ from sparseskin.nodes.sensor.layout.layout import Layout, UnstatedError
 from sparseskin.nodes.sensor.layout.names import (
     COL_WORDS,
     ROW_WORDS,
+    last_part,
     matching,
     stated_columns,
 )
@@ -279,7 +280,8 @@ def source_column(head: TableHead) -> int | None:
     Raises UnstatedError if lines are of several skins, and none is stated.
     """
     frame_id = head.layout.frame_id
-    columns = [k for k, name in enumerate(head.names) if name.lower() in SOURCE_WORDS]
+    names = map(last_part, head.names)
+    columns = [k for k, name in enumerate(names) if name in SOURCE_WORDS]
     if not head.layout.columns:
         columns += [k for k in range(head.width) if _takes_turns(head, k)]
     # Two skins that are read as one would be a force that jumps with each frame.
@@ -305,7 +307,7 @@ def _takes_turns(head: TableHead, k: int) -> bool:
     cells = head.cells(k)
     skins = list(dict.fromkeys(cells))
     n = len(skins)
-    is_place = head.names[k].lower() in (*ROW_WORDS, *COL_WORDS, "variable")
+    is_place = last_part(head.names[k]) in (*ROW_WORDS, *COL_WORDS, "variable")
     if is_place or not 1 < n <= MAX_SKINS or n == len(cells):
         return False
     if k in head.numeric:

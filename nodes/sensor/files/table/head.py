@@ -11,7 +11,12 @@ from sparseskin.nodes.errors import SourceError
 from sparseskin.nodes.sensor.files.recording import File
 from sparseskin.nodes.sensor.layout.checks import is_missing, shown
 from sparseskin.nodes.sensor.layout.layout import UnstatedError, listed
-from sparseskin.nodes.sensor.layout.names import COL_WORDS, ROW_WORDS, pattern_of
+from sparseskin.nodes.sensor.layout.names import (
+    COL_WORDS,
+    ROW_WORDS,
+    last_part,
+    pattern_of,
+)
 from sparseskin.nodes.sensor.layout.times import are_likely, is_time_name, rate_of
 
 from .columns import counters, find_times, source_column
@@ -433,7 +438,7 @@ def _long_columns(head: TableHead) -> LongColumns | None:
     """Columns of frame, row, column and value, or of frame, taxel and value, where the names state
     them.
     """
-    names = [name.lower() for name in head.names]
+    names = [last_part(name) for name in head.names]
 
     def only(words: Sequence[str]) -> int | None:
         columns = [k for k in head.numeric if names[k] in words]

@@ -62,6 +62,27 @@ def test_a_drawn_table_is_read_as_it_was_written(tmp_path, table):
 
 
 @FORGIVING
+@given(
+    prefix=st.sampled_from(["", "field.", "field.data."]),
+    taxel=st.sampled_from(["taxel_id", "Sensor", "cell"]),
+    value=st.sampled_from(["force", "Value", "counts"]),
+    n_taxels=st.integers(2, 9),
+    n_frames=st.integers(3, 9),
+    seed=st.integers(0, 99),
+)
+def test_a_line_for_each_taxel_is_read_under_names_that_are_paths_too(
+    tmp_path, prefix, taxel, value, n_taxels, n_frames, seed
+):
+    numbers = np.random.default_rng(seed).integers(0, 999, (n_frames, n_taxels))
+    lines = [f"%time,{prefix}frame_id,{prefix}{taxel},{prefix}{value}"]
+    for k, frame in enumerate(numbers):
+        stamp_ns = 10**18 + k * 10**7
+        lines += [f"{stamp_ns},palm,{at},{number}" for at, number in enumerate(frame)]
+    source = read(tmp_path, "\n".join(lines), n_rows=1, n_cols=n_taxels)
+    np.testing.assert_array_equal(source.frames, numbers[:, np.newaxis])
+
+
+@FORGIVING
 @given(table=tables(), data=st.data())
 def test_a_damaged_table_is_read_right_or_refused(tmp_path, table, data):
     text = table.text
