@@ -24,6 +24,7 @@ A = TypeVar("A")
 R = TypeVar("R")
 
 KINDS = ("process", "thread")
+SERIAL = "serial"
 FORMS = "serial, process:N, thread:N, or module:factory"
 """The texts that state an executor."""
 MAX_WORKERS = 1024
@@ -37,7 +38,7 @@ def make_executor(spec: str) -> Executor:
     `spec` is "serial", one task after the other; "process:N" or "thread:N", N workers on this host;
     "module:factory", a user's callable that returns a `concurrent.futures.Executor`.
     """
-    if spec == "serial":
+    if spec == SERIAL:
         return ThreadPoolExecutor(1)
     place = f"--executor {spec}"
     kind, _, argument = spec.partition(":")
@@ -82,6 +83,11 @@ def computed(
     """
     if not tasks:
         return
+    if executor_name == SERIAL:
+        # In this thread, which a signal interrupts at once: another one would go on.
+        for key, task in tasks.items():
+            yield key, _finished(function, task)
+        return
     # Whoever calls may have children of its own, which are left alone.
     children_before = set(multiprocessing.active_children())
     executor: Executor = make_executor(executor_name)
@@ -100,6 +106,16 @@ def computed(
             worker.terminate()
         raise
     executor.shutdown()
+
+
+def _finished(function: Callable[[A], R], task: A) -> Future[R]:
+    """The finished future of a task that is computed here."""
+    future: Future[R] = Future()
+    try:
+        future.set_result(function(task))
+    except Exception as error:
+        future.set_exception(error)
+    return future
 
 
 def _run(function: Callable[[A], R], task: A) -> R:

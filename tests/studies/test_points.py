@@ -107,9 +107,12 @@ def test_a_run_that_is_killed_goes_on_where_it_was(tmp_path):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_a_signal_ends_it_without_a_traceback_and_without_workers(tmp_path, number):
+@pytest.mark.parametrize("executor", ["process:2", "serial"])
+def test_a_signal_ends_it_without_a_traceback_and_without_workers(
+    tmp_path, number, executor
+):
     points = tmp_path / "out" / "squares" / POINTS_FILE
-    run = Run(tmp_path, "process:2")
+    run = Run(tmp_path, executor)
     wait_until(lambda: n_lines(points) == 4, "four points")
     os.killpg(run.process.pid, number)
     code, stderr = run.finish()
