@@ -16,6 +16,7 @@ from sparseskin.messages.text import printable
 from sparseskin.nodes.errors import SourceError
 from sparseskin.nodes.numerics.arrays import Floats
 from sparseskin.nodes.recorder.bag.format import FILE_SUFFIX
+from sparseskin.nodes.sensor.doubt.doubt import Doubt
 from sparseskin.nodes.sensor.files.file_source import located, open_file
 from sparseskin.nodes.sensor.files.format import recording_of
 from sparseskin.nodes.sensor.files.recording import Block, File, Head
@@ -156,9 +157,14 @@ def _frame_lines(name: str, layout: Layout) -> list[str]:
     """What the frames show: those of the begin, of a large file."""
     source = open_file(name, layout, needs=Needs(begin=True))
     skin = source.skin
-    sample = islice(source, MAX_STEPS)
-    first_ns, forces = next(sample)
-    stamps_ns = [first_ns, *(stamp_ns for stamp_ns, _ in sample)]
+    doubt = Doubt(skin, source.clipped, has_level=True)
+    stamps_ns: list[int] = []
+    for stamp_ns, forces in islice(source, MAX_STEPS):
+        if not stamps_ns:
+            first_forces = forces.copy()
+        stamps_ns.append(stamp_ns)
+        # Each frame shows how the skin rests.
+        doubt.look(forces)
     taxels = f"{skin.n_rows} x {skin.n_cols}"
     if skin.mask is not None:
         taxels += f", {skin.n_taxels} exist"
@@ -168,12 +174,14 @@ def _frame_lines(name: str, layout: Layout) -> list[str]:
         properties["time step"] = _steps_text(stamps_ns)
     for k, note in enumerate(source.notes):
         properties[f"note {k + 1}"] = as_options(note)
+    if doubt.line:
+        properties["not trusted"] = as_options(doubt.line)
 
     command = _command(name, layout)
     return [
         *facts(properties),
         "",
-        *_picture_lines(forces),
+        *_picture_lines(first_forces),
         "",
         f"import it: {command}",
     ]

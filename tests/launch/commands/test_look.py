@@ -86,3 +86,20 @@ def test_further_channels_are_kept_as_patches_with_their_sign(tmp_path, monkeypa
     for patch, channel in (("skin", 2), ("skin_x", 0), ("skin_y", 1)):
         read = sparseskin.read_recording("three.mcap", patch=patch)["forces"]
         np.testing.assert_allclose(read.reshape(3, 4), values[:, channel::3])
+
+
+@pytest.mark.parametrize(("rest", "is_said"), [(3300, True), (0, False)])
+def test_readings_that_rest_far_from_0_are_said_with_the_remedy(
+    rest, is_said, tmp_path, monkeypatch, capsys
+):
+    monkeypatch.chdir(tmp_path)
+    noise = np.random.default_rng(0).normal(0, 4, (300, 4, 5))
+    readings = rest + np.maximum(noise, 0)
+    readings[:, 1, 1] += 900 * (np.arange(300) % 50 > 40)
+    np.save("log.npy", readings.astype(np.float32))
+    stated = ["--axes", "frames,rows,cols", "--unit", "counts"]
+    assert main(["recording", "look", "log.npy", *stated]) == 0
+    shown = capsys.readouterr().out
+    assert ("add --tare 30 if nothing touched them" in " ".join(shown.split())) == (
+        is_said
+    )
