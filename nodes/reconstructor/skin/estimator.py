@@ -29,7 +29,8 @@ from .vectors import (
 )
 
 REPEATED = 1e6
-"""Noise variance of a measurement that repeats exactly and was predicted, in that of others."""
+"""Noise variance of a measurement that repeats exactly and was predicted, in units of that of
+others."""
 INVISIBLE = 1e-3
 """Force that is returned as 0, in deviations of the noise: what earlier contacts leave."""
 
