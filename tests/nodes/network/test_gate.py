@@ -160,6 +160,8 @@ def test_a_refusal_has_one_reason_in_the_log(station):
         (key_pair(), "is not known here"),
     ):
         of_process = make_context()
+        # A new try could be broken off in its handshake, which is another reason.
+        of_process.setsockopt(zmq.RECONNECT_IVL, -1)
         try:
             _, node, lines = listen(of_process, station, keys, SERVER.public)
 
