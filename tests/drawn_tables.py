@@ -63,15 +63,20 @@ def _end(place):
     return "last" if place else "first"
 
 
+def _shape_and_readings(draw, n_least, low):
+    """Rows and columns of a skin, and whole readings of some frames, one a line."""
+    n_rows = draw(st.integers(1, 4))
+    n_cols = draw(st.integers(2, 5))
+    n = draw(st.integers(n_least, 12))
+    rng = np.random.default_rng(draw(st.integers(0, 2**32 - 1)))
+    return n_rows, n_cols, rng.integers(low, 1000, (n, n_rows * n_cols))
+
+
 @st.composite
 def tables(draw):
     """A `DrawnTable`."""
-    n_rows, n_cols = draw(st.integers(1, 4)), draw(st.integers(2, 5))
-    n = draw(st.integers(3, 12))
-    n_taxels = n_rows * n_cols
-    seed = draw(st.integers(0, 2**32 - 1))
-    rng = np.random.default_rng(seed)
-    readings = rng.integers(0, 1000, (n, n_taxels))
+    n_rows, n_cols, readings = _shape_and_readings(draw, n_least=3, low=0)
+    n, n_taxels = readings.shape
     # A column that rises, or counts, could be the times, or a counter: these ask (tested apart).
     readings[-1] = readings[0] - 1
     readings[0] = np.maximum(readings[0], 1)
@@ -146,10 +151,8 @@ def tables(draw):
 @st.composite
 def transposed_tables(draw):
     """A `DrawnTable` with a line for each taxel, and perhaps one of the times."""
-    n_rows, n_cols = draw(st.integers(1, 4)), draw(st.integers(2, 5))
-    n = draw(st.integers(2, 12))
-    rng = np.random.default_rng(draw(st.integers(0, 2**32 - 1)))
-    readings = rng.integers(0, 1000, (n, n_rows * n_cols))
+    n_rows, n_cols, readings = _shape_and_readings(draw, n_least=2, low=0)
+    n = len(readings)
     readings[0, 0] = 1
     lines = [list(map(str, taxel)) for taxel in readings.T]
     if draw(st.booleans()):
@@ -177,10 +180,8 @@ def transposed_tables(draw):
 @st.composite
 def logs(draw):
     """A `DrawnTable` whose lines have a time or a text before the readings, or these in a list."""
-    n_rows, n_cols = draw(st.integers(1, 4)), draw(st.integers(2, 5))
-    n = draw(st.integers(4, 12))
-    rng = np.random.default_rng(draw(st.integers(0, 2**32 - 1)))
-    readings = rng.integers(1, 1000, (n, n_rows * n_cols))
+    n_rows, n_cols, readings = _shape_and_readings(draw, n_least=4, low=1)
+    n = len(readings)
     readings[-1] = readings[0] - 1
     moments = [START + timedelta(milliseconds=20 * k) for k in range(n)]
     lists = [", ".join(map(str, frame)) for frame in readings]

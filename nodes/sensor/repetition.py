@@ -10,6 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from sparseskin.nodes.numerics.arrays import Mask
+from sparseskin.nodes.sensor.layout.layout import listed
 
 CHANCE = 1e-12
 """Probability at which the noise of a taxel repeats one reading so often. Chosen: at 1 kHz one in
@@ -22,8 +23,6 @@ USUAL = 0.9
 converter stand still under a load that does."""
 MOST_STILL = 0.5
 """Part of a skin from which on taxels that do not move are no single faults. Chosen."""
-MOST_NAMED = 8
-"""Most taxels that a line names."""
 CLIPPED = 0.25
 """Part of the readings of a taxel that its noise does not make equal, where it shows. Chosen."""
 
@@ -65,10 +64,7 @@ def still_taxels(readings: npt.NDArray[Any], works: Mask) -> Mask:
 
 def names_of(cells: Sequence[int], n_cols: int) -> str:
     """Row and column of flat cells of a grid; of many, the first ones."""
-    names = [str(divmod(cell, n_cols)) for cell in cells[:MOST_NAMED]]
-    if len(cells) > MOST_NAMED:
-        names.append("...")
-    return ", ".join(names)
+    return listed([str(divmod(cell, n_cols)) for cell in cells])
 
 
 def line_on_still(readings: npt.NDArray[Any], works: Mask) -> str:

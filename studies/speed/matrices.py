@@ -12,10 +12,8 @@ import numpy as np
 from sparseskin.messages import SkinState, Taxels, decode
 from sparseskin.messages.wire import received, wire_bytes
 from sparseskin.nodes.compressor.phi.gaussian import N_MAX
-from sparseskin.nodes.compressor.phi.identity import FullPhi
 from sparseskin.nodes.numerics.arrays import Floats
 from sparseskin.nodes.process.proc import own_bytes
-from sparseskin.nodes.reconstructor.skin.solver import STEPS, STEPS_OF_ALL
 from sparseskin.nodes.sensor.noise import NoiseModel
 from sparseskin.studies.presses import noisy_skin, press_frames
 
@@ -76,14 +74,8 @@ def measure(point: dict[str, Any]) -> dict[str, Any]:
     """
     noise = NoiseModel()
     side = point["side"]
-    state = noisy_skin(
-        side,
-        patch="skin",
-        source="plate",
-        pitch_m=0.005,
-        seed=point["seed"],
-        rate_hz=1e9 / PERIOD_NS,
-    )
+    # Without a rate no frame has less time than the iterations of the default need.
+    state = noisy_skin(side, source="plate", pitch_m=0.005, seed=point["seed"])
     default = _set_up(*DEFAULT, state)
     pair = _set_up(point["kind"], point["ratio"], state)
     squares = []
@@ -117,9 +109,7 @@ def _set_up(kind: str, ratio: float, state: SkinState) -> Pair:
     bytes_before = own_bytes(os.getpid())
     begin_s = time.process_time()
     edge = made_node("compressor", settings)
-    # The default of each, whatever the rate of the skin leaves time for.
-    steps = STEPS_OF_ALL if settings["phi"] == FullPhi.kind else STEPS
-    host = made_node("reconstructor", {"iterations": steps})
+    host = made_node("reconstructor", {})
     for message in (state, *edge.step(state)):
         list(host.step(message))
     set_up_s = time.process_time() - begin_s

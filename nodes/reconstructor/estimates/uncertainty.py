@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from sparseskin.nodes.numerics.arrays import Floats, Mask
+from sparseskin.nodes.numerics.arrays import Floats, Mask, of_nine
 
 SCALE = 1.1
 """Standard deviation of a touched taxel, in what its share of the squared error makes it. Fitted on
@@ -98,7 +98,7 @@ class Spread:
         self._inside: Floats = mask.astype(np.float32)
         self._n = np.count_nonzero(mask)
         # A cell without a taxel is 0, and takes no part in a mean.
-        sums = np.maximum(_sums_of_3(self._inside), np.float32(1))
+        sums = np.maximum(of_nine(self._inside, np.add), np.float32(1))
         weights: Any = self._inside / sums
         self._weights: Floats = weights
 
@@ -116,18 +116,10 @@ class Spread:
         of_touched = e * math.sqrt(self._n * squares) / total
 
         # Beyond the edge of a contact the error falls with the forces around.
-        around = _sums_of_3(x) * self._weights
+        around = of_nine(x, np.add) * self._weights
         around += np.float32(LEAST_AROUND * e)
         around /= np.float32(mean_force)
         part: Any = np.minimum(around, 1)
         part **= np.float32(EDGE_POWER)
         sd: Floats = np.float32(SCALE * of_touched) * part * self._inside
         return sd
-
-
-def _sums_of_3(image: Floats) -> Floats:
-    """Return the sum of each cell and its eight neighbours; beyond the edges is nothing."""
-    edged = np.pad(image, 1)
-    three = edged[:-2] + edged[1:-1] + edged[2:]
-    sums: Floats = three[:, :-2] + three[:, 1:-1] + three[:, 2:]
-    return sums

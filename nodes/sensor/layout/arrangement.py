@@ -15,12 +15,10 @@ from sparseskin.messages.text import printable
 from sparseskin.nodes.errors import SourceError
 from sparseskin.nodes.numerics.arrays import Indices
 
-from .layout import Layout, UnstatedError, listed
+from .layout import MAX_WAYS, Layout, UnstatedError, listed
 from .names import NORMAL, select
 from .roles import CHANNEL, COLS, ROWS, XYZ, roles_of
 from .roles import Axis as Axis  # part of the interface
-
-MAX_WAYS = 8
 
 
 class Arrangement(NamedTuple):

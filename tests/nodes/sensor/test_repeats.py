@@ -12,8 +12,9 @@ from sparseskin.messages.skin import Skin
 from sparseskin.nodes.clock import ManualClock
 from sparseskin.nodes.node import Context, Tick
 from sparseskin.nodes.sensor.doubt.repeats import LEAST_RUN_AT_END, Repeats
+from sparseskin.nodes.sensor.layout.layout import MAX_WAYS
 from sparseskin.nodes.sensor.node import Sensor
-from sparseskin.nodes.sensor.repetition import CHANCE, MOST_NAMED, QUIETER
+from sparseskin.nodes.sensor.repetition import CHANCE, QUIETER
 
 F_MAX = 2.5
 SIGMA = 0.014
@@ -186,5 +187,5 @@ def test_a_sensor_states_its_stuck_taxels_and_logs_them_once(tmp_path):
     assert taxels[-1].forces[0, :2, 3:9].max() < MARGIN
     about = [line for line in lines if line.startswith("stuck taxels")]
     assert len(about) == 1
-    assert about[0].count("(") == MOST_NAMED
+    assert about[0].count("(") == MAX_WAYS
     assert about[0].endswith("(1, 4), ...")
