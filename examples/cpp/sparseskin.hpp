@@ -20,6 +20,7 @@
 #include <stdexcept>
 #include <string>
 #include <time.h>
+#include <utility>
 #include <vector>
 
 static_assert(__BYTE_ORDER__ == __ORDER_LITTLE_ENDIAN__, "arrays are little-endian");
@@ -109,6 +110,8 @@ inline double age_s(const Head& head, std::int64_t clock_offset_ns) {
 namespace detail {
 
 constexpr std::size_t max_message = 8 * (std::size_t{1} << 20) + 65536;
+// Messages that wait at most: 1000 on each side (ZMQ_SNDHWM, ZMQ_RCVHWM).
+constexpr int max_waiting = 2000;
 constexpr std::size_t max_elements = std::size_t{1} << 20;
 // Values of msgpack in a message: 256 patches have some 1600. Each takes a hundred times its bytes.
 constexpr std::size_t max_values = 8192;
@@ -569,15 +572,16 @@ inline void check(bool is_done, const std::string& what) {
 enum class Status { message, timeout, ended };
 
 // Reads one topic of a graph, in one thread. With `newest` each message is the newest that has come;
-// else all come in order, and 1000 wait on each side. No node waits for a reader.
+// else all come in order. 1000 messages wait on each side. No node waits for a reader.
 template <class Message>
 class Reader {
 public:
     Reader(const std::string& address, const std::string& topic, bool newest = false)
-        : topic_(topic), context_(zmq_ctx_new()), socket_(zmq_socket(context_, ZMQ_SUB)) {
-        const int one = 1;
+        : topic_(topic),
+          newest_(newest),
+          context_(zmq_ctx_new()),
+          socket_(zmq_socket(context_, ZMQ_SUB)) {
         const std::int64_t longest = detail::max_message;
-        if (newest) zmq_setsockopt(socket_, ZMQ_CONFLATE, &one, sizeof one);
         zmq_setsockopt(socket_, ZMQ_MAXMSGSIZE, &longest, sizeof longest);
         zmq_setsockopt(socket_, ZMQ_SUBSCRIBE, topic.data(), topic.size());
         if (zmq_connect(socket_, address.c_str()) != 0) {
@@ -595,12 +599,10 @@ public:
     // messages are counted and left out.
     Status next(Message& message, long timeout_ms = -1) {
         while (!ended_) {
-            zmq_pollitem_t item{socket_, 0, ZMQ_POLLIN, 0};
-            const int n_ready = zmq_poll(&item, 1, timeout_ms);
-            if (n_ready < 0 && zmq_errno() == EINTR) continue;
-            detail::check(n_ready >= 0, "zmq_poll");
-            if (n_ready == 0) return Status::timeout;
-            if (receive(message)) return Status::message;
+            if (!waits(timeout_ms)) return Status::timeout;
+            if (!receive(message)) continue;
+            if (newest_) skip_to_newest(message);
+            return Status::message;
         }
         return Status::ended;
     }
@@ -612,6 +614,27 @@ public:
     const std::string& last_error() const { return last_error_; }
 
 private:
+    // Whether a message has come, waited for at most `timeout_ms` milliseconds.
+    bool waits(long timeout_ms) {
+        zmq_pollitem_t item{socket_, 0, ZMQ_POLLIN, 0};
+        for (;;) {
+            const int n_ready = zmq_poll(&item, 1, timeout_ms);
+            if (n_ready >= 0) return n_ready > 0;
+            detail::check(zmq_errno() == EINTR, "zmq_poll");
+        }
+    }
+
+    // ZMQ_CONFLATE is not used: libzmq 4.3.4 leaks messages with it. As many as can wait are read
+    // at most, so that a fast sender cannot hold a reader here.
+    void skip_to_newest(Message& message) {
+        Message newer;
+        for (int n_read = 0; n_read < detail::max_waiting && !ended_ && waits(0); ++n_read) {
+            if (!receive(newer)) continue;
+            message = std::move(newer);
+            ++n_missed_;
+        }
+    }
+
     bool receive(Message& message) {
         zmq_msg_t buffer;
         zmq_msg_init(&buffer);
@@ -653,6 +676,7 @@ private:
     }
 
     std::string topic_;
+    bool newest_;
     void* context_;
     void* socket_;
     std::string run_id_;

@@ -107,8 +107,8 @@ class Reading:
         end = End(stamp_ns=1, patch="skin", of=self._schema, n_messages=n_sent)
         self.send(wire_bytes(end.published(RUN_ID, n_sent)))
         stdout, stderr = self._process.communicate()
-        assert self._process.returncode == 0
         assert stderr == ""
+        assert self._process.returncode == 0
         *read, missed = map(json.loads, stdout.splitlines())
         return read, missed
 
