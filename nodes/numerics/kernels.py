@@ -200,6 +200,7 @@ class TileMaps(NamedTuple):
     cells: P  # uint32 (n,): cell of each taxel
     begins: P2  # uint32 (shifts, t): first cell of each window
     shares: M  # float32 (shifts, t): part of the taxels that lie in each tile
+    kinds: P2  # uint32 (shifts, t): row of the limits' scales of each window
     counts: L  # int64 (shifts,): number of tiles
     width: int  # cells of a row
 
@@ -220,11 +221,8 @@ class Weights(NamedTuple):
 class Limits(NamedTuple):
     """Constants of the denoisers."""
 
-    single: float  # deviations that a taxel stands out of the noise by
-    by_3: float  # the same of a square of 3 x 3
-    by_6: float
-    whole: float
-    clearly: float  # factor of these at which a window counts in full
+    scales: M  # (k, 22): inverses of what the sums of a kind of window stand out by
+    clearly: float  # factor of these limits at which a window counts in full
     quiet: float  # expected squared error of a tile in which nothing stands out
     strict: float  # of shrinkage: energy at which half of a group is kept
     least: float  # of shrinkage: energy that is nothing
@@ -529,46 +527,48 @@ def sum_bands(image: A, begin: Any, width: int, n_columns: Any, bands: A) -> Non
 
 
 @compiled()
-def standing_out(bands: A, n_columns: Any, column: Any, limits: Limits) -> Any:
-    """Part of the window of 12 x 12 that begins at a column of `sum_bands`, as in `gates`."""
-    of_thirds = _0
-    of_sixths = _0
+def standing_out(bands: A, n_columns: Any, column: Any, scales: A, clearly: Any) -> Any:
+    """Part of the window of 12 x 12 that begins at a column of `sum_bands`, as in the module of
+    this name, by the scales of its kind.
+    """
+    highest = _0
+    peaks = bands[4 * n_columns + column :][:12]
+    for j in range(12):
+        highest = max(highest, peaks[j])
+    excess = highest * scales[0]
+
     whole = _0
     left_half = _0
     right_half = _0
     # Each square once, by all four sizes: windows without a contact are most of all.
     for band in range(4):
         sums = bands[band * n_columns + column :][:12]
+        of_thirds = scales[1 + 4 * band :][:4]
 
         # Squares of 3 x 3.
         a = sums[0] + sums[1] + sums[2]
         b = sums[3] + sums[4] + sums[5]
         c = sums[6] + sums[7] + sums[8]
         d = sums[9] + sums[10] + sums[11]
-        of_left = max(a, b)
-        of_right = max(c, d)
-        of_thirds = max(max(of_thirds, of_left), of_right)
+        of_left = max(a * of_thirds[0], b * of_thirds[1])
+        of_right = max(c * of_thirds[2], d * of_thirds[3])
+        excess = max(max(excess, of_left), of_right)
 
         # Squares of 6 x 6, of two bands each.
         left_half += a + b
         right_half += c + d
         if band % 2:
-            of_sixths = max(of_sixths, max(left_half, right_half))
+            of_sixths = scales[16 + band :][:2]
+            of_left = left_half * of_sixths[0]
+            of_right = right_half * of_sixths[1]
+            excess = max(max(excess, of_left), of_right)
             whole += left_half + right_half
             left_half = _0
             right_half = _0
 
-    highest = _0
-    peaks = bands[4 * n_columns + column :][:12]
-    for j in range(12):
-        highest = max(highest, peaks[j])
-
-    # A sum of k values of noise has sqrt(k) times their deviation: 3, 6 and 12.
-    excess: Any = max(highest / limits.single, of_thirds / (3 * limits.by_3))
-    excess = max(excess, of_sixths / (6 * limits.by_6))
-    excess = max(excess, whole / (12 * limits.whole))
-    part = (excess - 1) / (limits.clearly - 1)
-    return np.float32(min(max(part, 0.0), 1.0))
+    excess = max(excess, whole * scales[21])
+    part = (excess - _1) / (np.float32(clearly) - _1)
+    return min(max(part, _0), _1)
 
 
 @compiled(sums_in_any_order=True)
@@ -1387,6 +1387,7 @@ def busy_windows(
     busy = scratch.busy
     begins = tiles.begins[shift]
     shares = tiles.shares[shift]
+    kinds = tiles.kinds[shift]
     width = tiles.width
     bands = scratch.sums.reshape(-1)  # not in use yet
     n_tiles = tiles.counts[shift]
@@ -1405,7 +1406,8 @@ def busy_windows(
         sum_bands(image, row, width, n_columns, bands)
         for tile in range(first, stop):
             begin = np.int64(begins[tile])
-            part = standing_out(bands, n_columns, begin - row, limits)
+            scales = limits.scales[kinds[tile]]
+            part = standing_out(bands, n_columns, begin - row, scales, limits.clearly)
             if part > 0:
                 window = w[n_busy]
                 for i in range(12):

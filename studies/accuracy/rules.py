@@ -169,8 +169,7 @@ RULES: dict[str, Rule] = {
     ),
     "what stands out": _patched(
         "tiles in which nothing stands out of the noise are 0",
-        (f"{SKIN}.gates", "STANDS_OUT", (1e-6,) * 4),
-        (f"{SKIN}.compiled_vectors", "STANDS_OUT", (1e-6,) * 4),
+        (f"{SKIN}.standing_out", "STANDS_OUT", (1e-6,) * 4),
     ),
     "repeated measurements": _patched(
         "a measurement that repeats exactly counts once",

@@ -15,10 +15,11 @@ from sparseskin.nodes.numerics.compiled import entry_point, ready
 from sparseskin.nodes.sensor.noise import CLIPPED, CLIPPED_BELOW, NoiseModel
 
 from .formula import LEAST, STRICT
-from .gates import CLEARLY, QUIET, STANDS_OUT, Gates
+from .gates import QUIET, Gates
 from .prediction import Motion, MotionSums
 from .row_subset import Comparison, RowSubset
 from .rows import CompiledRows
+from .standing_out import CLEARLY, deviations_of, scales_of
 from .tiles import MARGIN, SHIFTS, Tiles, neighbours_of
 from .tuning import SkinTuning
 from .vectors import (
@@ -59,7 +60,7 @@ class CompiledVectors(Vectors):
         self._maps = _maps(tiles)
         self._neighbours = _neighbours(tiles)
         self._weights = _weights(gates or Gates.zero())
-        self._limits = _limits(tiles.strictness)
+        self._limits = kernels.Limits(scales_of(tiles), CLEARLY, QUIET, STRICT, LEAST)
         self._sizes = ScratchSizes(
             n=n,
             n_cells=tiles.canvas.size,
@@ -274,20 +275,29 @@ def _maps(tiles: Tiles) -> kernels.TileMaps:
     places = np.arange(tiles.canvas.size).reshape(tiles.canvas.shape)
     begins = np.zeros((len(SHIFTS), tiles.most), np.uint32)
     shares = np.zeros((len(SHIFTS), tiles.most), np.float32)
+    kinds = np.zeros((len(SHIFTS), tiles.most), np.uint32)
     counts = np.zeros(len(SHIFTS), np.int64)
+    kinds_of_shifts = deviations_of(tiles).kinds
     for shift, share in enumerate(tiles.shares):
         has_taxel = share > 0
         count = np.count_nonzero(has_taxel)
         counts[shift] = count
         begins[shift, :count] = tiles.cut(places, shift)[has_taxel, 0]
         shares[shift, :count] = share[has_taxel]
+        kinds[shift, :count] = kinds_of_shifts[shift][has_taxel]
 
     width = tiles.canvas.shape[1]
     row, col = np.divmod(tiles.cells, tiles.shape[1])
     cells = (row + MARGIN) * width + col + MARGIN
     canvas = tiles.canvas.reshape(-1)
     return kernels.TileMaps(
-        canvas.astype(np.uint32), cells.astype(np.uint32), begins, shares, counts, width
+        canvas=canvas.astype(np.uint32),
+        cells=cells.astype(np.uint32),
+        begins=begins,
+        shares=shares,
+        kinds=kinds,
+        counts=counts,
+        width=width,
     )
 
 
@@ -337,11 +347,6 @@ def _filter_constants(tuning: SkinTuning) -> kernels.FilterConstants:
         most_confirmed=tuning.most_confirmed,
         unknown=UNKNOWN,
     )
-
-
-def _limits(strictness: float) -> kernels.Limits:
-    single, by_3, by_6, whole = (strictness * limit for limit in STANDS_OUT)
-    return kernels.Limits(single, by_3, by_6, whole, CLEARLY, QUIET, STRICT, LEAST)
 
 
 @lru_cache(maxsize=16)

@@ -8,7 +8,8 @@ import numpy as np
 
 from sparseskin.nodes.numerics.arrays import Floats
 
-from .gates import QUIET, standing_out
+from .gates import QUIET
+from .standing_out import standing_out
 from .tiles import TILE, inner
 
 STRICT = 2.5

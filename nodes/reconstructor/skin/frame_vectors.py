@@ -11,10 +11,11 @@ from sparseskin.nodes.numerics.arrays import TINY, Doubles, Floats, Mask
 from sparseskin.nodes.sensor.noise import NoiseModel
 
 from .formula import shrink
-from .gates import Gates, standing_out
+from .gates import Gates
 from .prediction import Motion, MotionSums
 from .row_subset import Comparison, RowSubset
 from .rows import Rows
+from .standing_out import deviations_of, scales_of, standing_out
 from .tiles import SHIFTS, Tiles, neighbours_of
 from .tuning import SkinTuning
 from .vectors import (
@@ -63,6 +64,8 @@ class FrameVectors(Vectors):
     ) -> None:
         self._rows = rows
         self._tiles = tiles
+        self._scales = scales_of(tiles)
+        self._kinds = deviations_of(tiles).kinds
         self._gates = gates
         self._tuning = tuning
         self._neighbours = neighbours_of(tiles)
@@ -353,7 +356,7 @@ class FrameVectors(Vectors):
         # The last place is read where there is no taxel.
         taxels = np.concatenate([u / s, NOTHING])
         windows = self._tiles.windows(taxels, shift)
-        part = standing_out(windows, self._tiles.strictness)
+        part = standing_out(windows, self._scales[self._kinds[shift]])
         n_busy = int(np.count_nonzero(part))
         if k == 0:
             plan = steps_for(plan, n_busy)

@@ -26,16 +26,11 @@ import numpy as np
 from sparseskin.nodes.errors import SolverError
 from sparseskin.nodes.numerics.arrays import Floats
 
+from .standing_out import standing_out
 from .tiles import TILE, WINDOW, inner
 
 N_FILTERS = 128
 N_HIDDEN = 64
-STANDS_OUT = (3.8, 3.3, 2.6, 2.0)
-"""Of `standing_out`, by size of square. Derived: 5 % of the windows of normal noise exceed them,
-four of `REFERENCE_WINDOWS`; what the gates let pass of others is below 0.005 noise variances a
-taxel."""
-CLEARLY = 1.2
-"""Of `standing_out`: a switch in place of a ramp would amplify rounding. Chosen."""
 QUIET = 0.01
 """Expected squared error of a tile in which nothing stands out. Measured: 0.003 to 0.01."""
 FILE = "gates.npz"
@@ -150,40 +145,6 @@ class Gates:
         tiles = passed * inner(windows) + filtered
         log_error = h @ self.error[0] + self.error_0
         return tiles.clip(0, None), np.exp(log_error.clip(-12, 0))
-
-
-def standing_out(windows: Floats, strictness: float = 1.0) -> Floats:
-    """Part of a window of unit noise that counts, float32 (t,): 0 where nothing stands out.
-
-    By how far a taxel, a square of 3 x 3 or 6 x 6, or the whole window exceeds `STANDS_OUT` times
-    `strictness` deviations of its sum: from there to `CLEARLY` times as much it grows to 1.
-    """
-    single, by_3, by_6, whole = (strictness * limit for limit in STANDS_OUT)
-    squares_of_3, squares_of_6 = _square_sums()
-    thirds = windows @ squares_of_3
-    sixths = thirds @ squares_of_6
-
-    # A sum of k^2 taxels of unit noise has the deviation k.
-    of_sizes = [
-        windows.max(axis=-1) / single,
-        thirds.max(axis=-1) / (3 * by_3),
-        sixths.max(axis=-1) / (6 * by_6),
-        sixths.sum(axis=-1) / (12 * whole),
-    ]
-    excess = np.stack(of_sizes).max(axis=0) - 1
-    part: Floats = (excess / (CLEARLY - 1)).clip(0, 1)
-    return part
-
-
-@cache
-def _square_sums() -> tuple[Floats, Floats]:
-    """Matrices that sum a window over its squares of 3 x 3, and these over squares of 2 x 2."""
-    thirds = np.eye(4).repeat(3, axis=0)
-    halves = np.eye(2).repeat(2, axis=0)
-    return (
-        np.kron(thirds, thirds).astype(np.float32),
-        np.kron(halves, halves).astype(np.float32),
-    )
 
 
 def _shapes(k: int, h: int) -> dict[str, tuple[int, ...]]:

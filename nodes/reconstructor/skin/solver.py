@@ -24,6 +24,7 @@ from .frame_vectors import FrameVectors
 from .gates import Gates, gates_of
 from .rows import CompiledRows, HadamardRows, rows_of
 from .tiles import tiles_of
+from .trust import explains_samples
 from .tuning import SkinTuning
 from .vectors import CONVERGED, N_FORMULA, StepPlan, StepTimes, Vectors, steps_for
 
@@ -251,11 +252,14 @@ class SkinSolver(CountsTiles):
         self.n_done = steps.n if n_steps else 0
         self.n_tiles = steps.n_tiles
 
-        # The residuals of single taxels show no error between them.
-        self.error = None
-        self.common_error = 0.0
-        self.trusted = True
-        if not phi_fact(self.phi, "samples"):
+        if phi_fact(self.phi, "samples"):
+            # The residuals of single taxels show no error between them.
+            self.error = None
+            self.common_error = 0.0
+            self.trusted = explains_samples(
+                self.residual, forces, self.noise2, self._tuning
+            )
+        else:
             self.error = self._estimator.stated_error.value
             self.common_error = self._estimator.common_error.value
             self.trusted = self._estimator.trust.holds

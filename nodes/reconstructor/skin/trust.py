@@ -5,8 +5,10 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
+import numpy as np
+
 from sparseskin.nodes.compressor.phi.base import UNREAD
-from sparseskin.nodes.numerics.arrays import TINY
+from sparseskin.nodes.numerics.arrays import TINY, Floats
 
 from .noise_level import NoiseLevel
 from .row_subset import FrameNumbers
@@ -265,3 +267,17 @@ class Trust:
         if noise.is_stated and bias_is_known:
             return min(tuning.unexplained, tuning.unresolved * math.sqrt(2 / n_read))
         return tuning.unexplained
+
+
+def explains_samples(
+    residual: Floats, forces: Floats, noise2: float, tuning: SkinTuning
+) -> bool:
+    """Whether forces explain the readings of single taxels but for noise, of variance `noise2`, and
+    an error that is trusted: what lies between these taxels, nothing shows.
+
+    `residual` is float32 (m,), of the taxels read, `forces` float32 (n,), of all.
+    """
+    residual2 = float(np.mean(np.square(residual)))
+    power = float(np.mean(np.square(forces)))
+    explained2 = (1 + tuning.unexplained) * noise2 + tuning.trusted**2 * power
+    return residual2 <= explained2

@@ -1,0 +1,122 @@
+"""What stands out of the noise in a window: a taxel, or the sum of a square of them."""
+
+from __future__ import annotations
+
+from functools import cache, lru_cache
+from typing import NamedTuple
+
+import numpy as np
+
+from sparseskin.nodes.numerics.arrays import Floats, Indices
+
+from .tiles import Tiles
+
+STANDS_OUT = (3.8, 3.3, 2.6, 2.0)
+"""Deviations by which a taxel, a square of 3 x 3, one of 6 x 6, and the window stand out. Derived:
+5 % of the windows of normal noise exceed them, four of `tiles.REFERENCE_WINDOWS`; what the gates
+let pass of others is below 0.005 noise variances a taxel."""
+CLEARLY = 1.2
+"""Factor of `STANDS_OUT` at which a window counts in full: a switch in place of a ramp would
+amplify rounding. Chosen."""
+N_SUMS = 22
+"""Numbers of a window: its largest taxel, and the sums of 16 squares, of 4, and of all."""
+_N_OF_SIZES = (1, 16, 4, 1)
+
+
+class Deviations(NamedTuple):
+    """Deviations of the sums of windows of unit noise; windows that differ in nothing share them.
+
+    Attributes
+    ----------
+    of_kinds : ndarray of float64, shape (k, N_SUMS)
+        0 where a square has no taxel.
+    kinds : tuple of ndarray of intp, shape (t,)
+        Row of `of_kinds` of each window, of each shift.
+    """
+
+    of_kinds: Floats
+    kinds: tuple[Indices, ...]
+
+
+def standing_out(windows: Floats, scales: Floats | None = None) -> Floats:
+    """Part of a window of unit noise that counts, float32 (t,): 0 where nothing stands out.
+
+    By how far its largest taxel, or one of its sums, exceeds its limit: from there to `CLEARLY`
+    times as much it grows to 1. `scales` are the inverse limits, as of `scales_of`, float32
+    (t, N_SUMS); by default those of windows with a taxel in each cell, of strictness 1.
+    """
+    if scales is None:
+        scales = _scales(_full(), 1.0)
+    excess = (_sums(windows) * scales).max(axis=-1) - 1
+    part: Floats = (excess / (CLEARLY - 1)).clip(0, 1)
+    return part
+
+
+def scales_of(tiles: Tiles) -> Floats:
+    """Inverse limits of the sums of each kind of window, float32 (k, N_SUMS), in the order of
+    `deviations_of`; 0 where a square has no taxel.
+    """
+    return _scales(deviations_of(tiles).of_kinds, tiles.strictness)
+
+
+def _scales(deviations: Floats, strictness: float) -> Floats:
+    limits = np.repeat(STANDS_OUT, _N_OF_SIZES) * strictness * deviations
+    scales = np.zeros_like(limits)
+    np.divide(1, limits, out=scales, where=limits > 0)
+    return scales.astype(np.float32)
+
+
+@lru_cache(maxsize=16)
+def deviations_of(tiles: Tiles) -> Deviations:
+    """Deviations of the sums of the windows of a skin.
+
+    Beyond the skin there is no noise. A taxel that several cells read counts in each of them as
+    often: its copies are not independent.
+    """
+    n = len(tiles.cells)
+    n_cells = np.bincount(tiles.canvas.reshape(-1), minlength=n + 1)
+    n_cells[n] = 0
+    copies = n_cells[tiles.canvas].astype(np.float32)
+
+    variances = [
+        _variances(tiles.cut(copies, number)) for number in range(len(tiles.shares))
+    ]
+    of_kinds, kinds = np.unique(np.concatenate(variances), axis=0, return_inverse=True)
+    ends = np.cumsum([len(of_shift) for of_shift in variances])
+    by_shift = np.split(kinds.reshape(-1), ends[:-1])
+    return Deviations(np.sqrt(of_kinds), tuple(by_shift))
+
+
+def _variances(copies: Floats) -> Floats:
+    """Variances of the sums of windows, (t, N_SUMS), by the copies of the taxel of each cell."""
+    variances = _sums(copies)
+    # Of copies the largest is one number of unit variance, too.
+    variances[:, 0] = variances[:, 0] > 0
+    return variances
+
+
+def _full() -> Floats:
+    """Deviations of a window with a taxel in each cell, (1, N_SUMS)."""
+    sides = (1, 3, 6, 12)
+    return np.repeat(np.float64(sides), _N_OF_SIZES)[np.newaxis]
+
+
+def _sums(windows: Floats) -> Floats:
+    """Largest taxel of windows (t, 144), and the sums of their squares: (t, N_SUMS)."""
+    squares_of_3, squares_of_6 = _square_sums()
+    thirds = windows @ squares_of_3
+    sixths = thirds @ squares_of_6
+    largest = windows.max(axis=-1, keepdims=True)
+    whole = sixths.sum(axis=-1, keepdims=True)
+    return np.concatenate([largest, thirds, sixths, whole], axis=-1)
+
+
+@cache
+def _square_sums() -> tuple[Floats, Floats]:
+    """Matrices that sum a window over its squares of 3 x 3, and these over squares of 2 x 2."""
+    thirds = np.eye(4).repeat(3, axis=0)
+    halves = np.eye(2).repeat(2, axis=0)
+    return (
+        np.kron(thirds, thirds).astype(np.float32),
+        np.kron(halves, halves).astype(np.float32),
+    )
