@@ -5,23 +5,32 @@ listen are behind.
 from __future__ import annotations
 
 import queue
+import sys
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
 from functools import partial
 from typing import Generic, TypeVar
 
 from sparseskin.messages import Message
+from sparseskin.messages.base import array_fields
 from sparseskin.nodes.bus import Bus
 from sparseskin.nodes.clock import Clock, ManualClock
 from sparseskin.nodes.graph import NodeSpecs
 from sparseskin.nodes.node import Tick
 from sparseskin.nodes.node_host import NodeHost
 
-N_TOGETHER = 8
-"""Frames that are handed to another thread together. Chosen: one that is handed over alone costs
-as much processor time as to record it, since each thread then waits for another at each frame."""
-N_WAITING = 4
+N_TOGETHER = 64
+"""Frames that are handed to another thread together. Chosen: a thread that does the same work for
+many frames in a row finds its code and data in the caches of its processor."""
+MOST_BYTES = 1 << 22
+"""Most bytes of these frames, for memory: of larger skins there are fewer."""
+N_WAITING = 2
 """Most of these groups that wait between two threads. Chosen: few enough for memory."""
+SWITCH_S = 2e-5
+"""Time after which a thread of Python gives way to another one that waits, seconds. Chosen: after
+each loop without the lock of the interpreter, the solver waits for it that long. By default it is
+5 ms, many frames."""
 LOOK_S = 0.1
 """Time after which a thread that waits looks whether the others still run, seconds."""
 
@@ -35,6 +44,8 @@ class Handover(Generic[Item]):
 
     def __init__(self, stopped: threading.Event) -> None:
         self._stopped = stopped
+        #: Items that are handed over together.
+        self.n_together = N_TOGETHER
         #: Groups of items; an empty one is the end.
         self._groups: queue.Queue[list[Item]] = queue.Queue(N_WAITING)
         self._group: list[Item] = []
@@ -42,7 +53,7 @@ class Handover(Generic[Item]):
     def give(self, item: Item) -> None:
         """Append an item, when there is room; it is handed over with those that follow."""
         self._group.append(item)
-        if len(self._group) >= N_TOGETHER:
+        if len(self._group) >= self.n_together:
             self._hand_over()
 
     def end(self) -> None:
@@ -107,16 +118,17 @@ class Pipeline(Bus):
             self._threads.append(thread)
             thread.start()
 
-        for messages in self._acquired.items():
-            # This thread is the middle one: the solver works here.
-            delivered = self._deliver(messages)
-            # What listeners process later is processed at the time of now.
-            now_ns = self._clock.now_ns()
-            self._delivered.give((now_ns, self._behind))
-            self._behind = []
-            _advance(self._clock, _newest_ns(delivered))
-            yield delivered
-        self._delivered.end()
+        with _switching_soon():
+            for messages in self._acquired.items():
+                # This thread is the middle one: the solver works here.
+                delivered = self._deliver(messages)
+                # What listeners process later is processed at the time of now.
+                now_ns = self._clock.now_ns()
+                self._delivered.give((now_ns, self._behind))
+                self._behind = []
+                _advance(self._clock, _newest_ns(delivered))
+                yield delivered
+            self._delivered.end()
         # What listeners write, as a recording, is complete only then.
         for thread in self._threads:
             thread.join()
@@ -134,11 +146,11 @@ class Pipeline(Bus):
             return self._clock_behind
         return self._clock
 
-    def _hand(self, reader: NodeHost, message: Message) -> Iterator[Message]:
+    def _hand(self, reader: NodeHost, message: Message) -> Iterable[Message]:
         if reader.outputs:
-            yield from super()._hand(reader, message)
-        else:
-            self._behind.append((reader, message))
+            return super()._hand(reader, message)
+        self._behind.append((reader, message))
+        return ()
 
     def _acquire(self, source: NodeHost) -> None:
         """Let the source acquire its frames, and end its stream."""
@@ -151,9 +163,18 @@ class Pipeline(Bus):
             # Read whole before they are handed over: the source is used in this thread alone.
             messages = list(source.tick(Tick(stamp_ns, index)))
             newest_ns = max(newest_ns, _newest_ns(messages))
+            if not index:
+                self._size_groups(messages)
             index += 1
             self._acquired.give(messages)
         self._acquired.end()
+
+    def _size_groups(self, messages: list[Message]) -> None:
+        """Set how many frames like the first one are handed over together."""
+        n_bytes = sum(map(_n_bytes, messages))
+        n_together = min(N_TOGETHER, MOST_BYTES // max(n_bytes, 1))
+        self._acquired.n_together = n_together
+        self._delivered.n_together = n_together
 
     def _follow(self) -> None:
         """Let the listeners process what was delivered to them."""
@@ -172,6 +193,23 @@ class Pipeline(Bus):
             # Kept, since an exception of a thread would only be printed.
             self._error = error
             self._stopped.set()
+
+
+@contextmanager
+def _switching_soon() -> Iterator[None]:
+    """Let threads give way to each other after `SWITCH_S`."""
+    usual_s = sys.getswitchinterval()
+    sys.setswitchinterval(SWITCH_S)
+    try:
+        yield
+    finally:
+        sys.setswitchinterval(usual_s)
+
+
+def _n_bytes(message: Message) -> int:
+    """Bytes of the arrays of a message."""
+    arrays = [getattr(message, name) for name in array_fields(type(message))]
+    return sum(array.nbytes for array in arrays if array is not None)
 
 
 def _newest_ns(messages: list[Message]) -> int:
