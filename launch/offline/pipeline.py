@@ -7,7 +7,7 @@ from __future__ import annotations
 import queue
 import sys
 import threading
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from functools import partial
 from typing import Generic, TypeVar
@@ -34,8 +34,6 @@ each loop without the lock of the interpreter, the solver waits for it that long
 LOOK_S = 0.1
 """Time after which a thread that waits looks whether the others still run, seconds."""
 
-Delivery = tuple[NodeHost, Message]
-"""A message, and the node that is to process it."""
 Item = TypeVar("Item")
 
 
@@ -100,13 +98,20 @@ class Pipeline(Bus):
         for name, (cls, settings) in nodes.items():
             if not cls.outputs(settings):
                 self._listeners.add(name)
-        self._behind: list[Delivery] = []
         self._stopped = threading.Event()
         self._acquired: Handover[list[Message]] = Handover(self._stopped)
-        self._delivered: Handover[tuple[int, list[Delivery]]] = Handover(self._stopped)
+        self._delivered: Handover[tuple[int, list[Message]]] = Handover(self._stopped)
         self._threads: list[threading.Thread] = []
         self._error: Exception | None = None
         super().__init__(nodes, self._clock)
+
+        # What the nodes published at their start has reached all of them.
+        self._readers_behind: dict[str, list[NodeHost]] = {}
+        for topic, readers in self._readers.items():
+            ahead = [host for host in readers if host.outputs]
+            behind = [host for host in readers if not host.outputs]
+            self._readers[topic] = ahead
+            self._readers_behind[topic] = behind
 
     def frames(self, n_frames: int | None = None) -> Iterator[list[Message]]:
         """As of `Bus`, all frames of the source; at the end every node has processed them."""
@@ -124,8 +129,7 @@ class Pipeline(Bus):
                 delivered = self._deliver(messages)
                 # What listeners process later is processed at the time of now.
                 now_ns = self._clock.now_ns()
-                self._delivered.give((now_ns, self._behind))
-                self._behind = []
+                self._delivered.give((now_ns, delivered))
                 _advance(self._clock, _newest_ns(delivered))
                 yield delivered
             self._delivered.end()
@@ -145,12 +149,6 @@ class Pipeline(Bus):
         if name in self._listeners:
             return self._clock_behind
         return self._clock
-
-    def _hand(self, reader: NodeHost, message: Message) -> Iterable[Message]:
-        if reader.outputs:
-            return super()._hand(reader, message)
-        self._behind.append((reader, message))
-        return ()
 
     def _acquire(self, source: NodeHost) -> None:
         """Let the source acquire its frames, and end its stream."""
@@ -178,12 +176,13 @@ class Pipeline(Bus):
 
     def _follow(self) -> None:
         """Let the listeners process what was delivered to them."""
-        for now_ns, deliveries in self._delivered.items():
+        for now_ns, messages in self._delivered.items():
             _advance(self._clock_behind, now_ns)
-            for reader, message in deliveries:
-                # It publishes nothing, but is a generator.
-                for _ in super()._hand(reader, message):
-                    pass
+            for message in messages:
+                for reader in self._readers_behind.get(message.topic, ()):
+                    # It publishes nothing, but is a generator.
+                    for _ in reader.receive(message):
+                        pass
 
     def _guard(self, work: Callable[[], None]) -> None:
         """Do the work of a thread; an error of it ends the others, and is raised by `frames`."""
