@@ -188,12 +188,13 @@ def make_graph(job: Job, bag: BagReader, out: Path) -> LaunchFile:
     # Unchanged settings are to give the recorded results again.
     if isinstance(recorded, SolverState) and not job.changes("reconstructor"):
         tables["reconstructor"] |= iterations_of(recorded)
-    tables["monitor"] = {"type": "monitor", "patches": [patch]}
+    # Before the monitor, which counts the bytes of what was encoded last.
     tables["recorder"] = {
         "type": "recorder",
         "out": str(out),
         "launch": origin_of(job, bag),
     }
+    tables["monitor"] = {"type": "monitor", "patches": [patch]}
     return load_tables(f"reprocess {Path(job.source).name}", tables, job.overrides)
 
 
