@@ -30,7 +30,7 @@ from sparseskin.nodes.recorder.bag.reader import BagReader
 from sparseskin.nodes.recorder.bag.writer import removing
 from sparseskin.nodes.recorder.node import metadata_of
 
-from .pipeline import Pipeline
+from .blocks import BlockBus
 
 
 @dataclass(frozen=True)
@@ -126,7 +126,7 @@ def _run(job: Job, source: Path, out: Path, progress: bool) -> Document:
     specs = {}
     for node in launch.nodes.values():
         specs[node.name] = (node.cls, node.settings)
-    bus = Pipeline(specs)
+    bus = BlockBus(specs)
     bar = tqdm(
         total=max(counts, default=0),
         disable=not progress,
