@@ -113,12 +113,8 @@ class Bus:
                 message = self._queue.popleft()
                 delivered.append(message)
                 for reader in self._readers.get(message.topic, ()):
-                    self._queue.extend(self._hand(reader, message))
+                    self._queue.extend(reader.receive(message))
         return delivered
-
-    def _hand(self, reader: NodeHost, message: Message) -> Iterable[Message]:
-        """Let a node process a message; return what it publishes then."""
-        return reader.receive(message)
 
     def _clock_of(self, name: str) -> Clock:
         """The clock of a node."""

@@ -24,7 +24,14 @@ import sparseskin
 ROOT = Path(__file__).resolve().parents[2]
 PICTURES, OUTPUTS = ROOT / "docs/pictures", ROOT / "docs/reference/examples.toml"
 #: Drivers of hardware, and jobs of several processes or hosts.
-NOT_RUN = {"serial_skin", "udp_skin", "wuji_glove", "mpi_pool", "dask_pool"}
+NOT_RUN = {
+    "serial_skin",
+    "udp_skin",
+    "wuji_glove",
+    "mpi_pool",
+    "dask_pool",
+    "ray_pool",
+}
 ARGUMENTS = {"board_emulator": ["--frames", "3"]}
 PRESSED_N = 0.1
 """Largest force of a frame that is worth a picture."""

@@ -30,7 +30,7 @@ from sparseskin.nodes.recorder.bag.reader import BagReader
 from sparseskin.nodes.recorder.bag.writer import removing
 from sparseskin.nodes.recorder.node import metadata_of
 
-from .pipeline import Pipeline
+from .blocks import BlockBus
 
 
 @dataclass(frozen=True)
@@ -126,7 +126,7 @@ def _run(job: Job, source: Path, out: Path, progress: bool) -> Document:
     specs = {}
     for node in launch.nodes.values():
         specs[node.name] = (node.cls, node.settings)
-    bus = Pipeline(specs)
+    bus = BlockBus(specs)
     bar = tqdm(
         total=max(counts, default=0),
         disable=not progress,
@@ -188,12 +188,13 @@ def make_graph(job: Job, bag: BagReader, out: Path) -> LaunchFile:
     # Unchanged settings are to give the recorded results again.
     if isinstance(recorded, SolverState) and not job.changes("reconstructor"):
         tables["reconstructor"] |= iterations_of(recorded)
-    tables["monitor"] = {"type": "monitor", "patches": [patch]}
+    # Before the monitor, which counts the bytes of what was encoded last.
     tables["recorder"] = {
         "type": "recorder",
         "out": str(out),
         "launch": origin_of(job, bag),
     }
+    tables["monitor"] = {"type": "monitor", "patches": [patch]}
     return load_tables(f"reprocess {Path(job.source).name}", tables, job.overrides)
 
 

@@ -26,12 +26,13 @@ from sparseskin.studies.points import StudyError
 
 from .beside import medians
 
-SCENE = "drag_wrench_64"
+SCENES = ("drag_wrench_40", "drag_wrench_64")
 FIRST = 1900
-"""First frame of the scene, shortly before the first contact."""
+"""First frame of a scene, shortly before the first contact."""
 N_FRAMES = 3200
-QUICK_N_FRAMES = 200
+QUICK_N_FRAMES = 800
 SLICES = 5
+QUICK_SLICES = 3
 ITERATIONS = (24, 8)
 """Iterations of a frame: those of the preset, and fewer, as for a skin at 500 Hz; of these the
 solver hides less of the rest."""
@@ -45,15 +46,18 @@ class Used(NamedTuple):
 
 
 def points(quick: bool, seed: int) -> list[dict[str, Any]]:
-    """One recording of a scene, in as many iterations as `ITERATIONS` has."""
+    """One recording of each scene, in as many iterations as `ITERATIONS` has."""
     common = {
-        "scene": SCENE,
         "first": FIRST,
-        "slices": SLICES,
+        "n_frames": QUICK_N_FRAMES if quick else N_FRAMES,
+        "slices": QUICK_SLICES if quick else SLICES,
         "seed": seed,
     }
-    common["n_frames"] = QUICK_N_FRAMES if quick else N_FRAMES
-    return [{**common, "iterations": iterations} for iterations in ITERATIONS]
+    return [
+        {**common, "scene": scene, "iterations": iterations}
+        for scene in SCENES
+        for iterations in ITERATIONS
+    ]
 
 
 def measure(point: dict[str, Any]) -> dict[str, Any]:

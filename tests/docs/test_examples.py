@@ -17,7 +17,7 @@ EXAMPLES = Path(__file__).parents[2] / "examples"
 #: Drivers of hardware: test_drivers.py runs them against simulated skins.
 DRIVERS = {"serial_skin", "udp_skin", "wuji_glove"}
 #: Run below, as a job of several processes.
-JOBS = {"mpi_pool", "dask_pool"}
+JOBS = {"mpi_pool", "dask_pool", "ray_pool"}
 WITH_PICTURE = {"first_contact", "your_own_skin", "choosing_m", "calibrate"}
 SLOW = WITH_PICTURE | {
     "recogniser",

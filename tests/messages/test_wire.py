@@ -75,6 +75,17 @@ def test_what_travels_is_the_topic_a_zero_byte_and_the_map_of_recordings(message
     assert size_bytes(message) == len(buffer)
 
 
+@given(messages, messages)
+def test_a_size_is_that_of_the_wire_whatever_was_encoded_or_decoded_before(a, b):
+    n_bytes_a = len(wire_bytes(a))
+    n_bytes_b = len(wire_bytes(b))
+    assert size_bytes(b) == n_bytes_b
+    assert size_bytes(a) == n_bytes_a
+    decoded_b = decode(*encode(b))
+    assert size_bytes(decoded_b) == n_bytes_b
+    assert size_bytes(a) == n_bytes_a
+
+
 @given(messages)
 def test_a_head_alone_says_which_message_it_is(message):
     payload = encode(message)[1]

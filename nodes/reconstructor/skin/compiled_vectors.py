@@ -84,6 +84,7 @@ class CompiledVectors(Vectors):
         self._recall = np.zeros(3)
         self._step_scratch: Scratch | None = None
         self.x = self._estimate.x
+        self.x_rows = self._estimate.rows
         self.forget()
 
     def forget(self) -> None:
@@ -95,13 +96,13 @@ class CompiledVectors(Vectors):
     def forget_rows(self) -> None:
         self.start_from(self.x)
         self._estimate.correction[:] = 0
-        self._filters.mean[:] = self._estimate.rows
+        self._filters.mean[:] = self.x_rows
         self._filters.variance[:] = UNKNOWN
         self._filters.change[:] = 0
 
     def start_from(self, x: Floats) -> None:
         self.x[:] = x
-        self._estimate.rows[:] = self._rows.forward(x)
+        self.x_rows[:] = self._rows.forward(x)
 
     def begin(
         self, y: Floats, subset: RowSubset, bias: float, noise: float

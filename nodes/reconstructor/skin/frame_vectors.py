@@ -82,12 +82,12 @@ class FrameVectors(Vectors):
     def forget_rows(self) -> None:
         nothing = np.zeros(self._rows.n_rows, dtype=np.float32)
         #: W times the last estimate, and times the prediction.
-        self._x_rows = self._rows.forward(self.x)
+        self.x_rows = self._rows.forward(self.x)
         self._predicted_rows = nothing
         #: W times what the last measurements changed.
         self._correction = nothing
         #: State of each row's filter: mean; variance that its measurements left; that of changes.
-        self._mean = self._x_rows.copy()
+        self._mean = self.x_rows.copy()
         self._variance = nothing + np.float32(UNKNOWN)
         self._change = nothing
         #: Value that each row is expected to have, and the variance of its error.
@@ -96,7 +96,7 @@ class FrameVectors(Vectors):
 
     def start_from(self, x: Floats) -> None:
         self.x = x
-        self._x_rows = self._rows.forward(x)
+        self.x_rows = self._rows.forward(x)
 
     def begin(
         self, y: Floats, subset: RowSubset, bias: float, noise: float
@@ -115,7 +115,7 @@ class FrameVectors(Vectors):
     def _doubt_values(self, subset: RowSubset, noise: float) -> None:
         """Set the part of each value that is doubted, and the variance that it adds."""
         read = self._rows.read
-        change = self._values - self._x_rows[read]
+        change = self._values - self.x_rows[read]
         squares = np.square(change, dtype=np.float64)
 
         # What a row has read before is no garbage, though the estimate does not explain it.
@@ -147,7 +147,7 @@ class FrameVectors(Vectors):
         following, previous = self.x[self._neighbours]
         self._slopes = following - previous
         down, across = map(self._rows.forward, self._slopes)
-        a = self._x_rows[read]
+        a = self.x_rows[read]
         b = down[read]
         c = across[read]
         change = self._certain * (self._values - a)
@@ -209,8 +209,8 @@ class FrameVectors(Vectors):
         in an estimate that has not converged, an error passes for a motion.
         """
         read = self._rows.read
-        grown = growth * self._x_rows
-        translated = (self._predicted_rows - self._x_rows) - grown
+        grown = growth * self.x_rows
+        translated = (self._predicted_rows - self.x_rows) - grown
         off_mean = self._values - self._mean[read]
         unexpected = self._certain * off_mean * self._is_known
 
@@ -382,13 +382,13 @@ class FrameVectors(Vectors):
         part: Any = np.float32(blend.part)
         x = (1 - part) * self._estimate + part * self._predicted
         self.start_from(x)
-        self._correction = self._x_rows - self._predicted_rows
-        self.residual = self._certain * (self._values - self._x_rows[self._rows.read])
+        self._correction = self.x_rows - self._predicted_rows
+        self.residual = self._certain * (self._values - self.x_rows[self._rows.read])
 
         # Residual of the steps in their part of x, without what each row added to its own value.
         own = (1 - part) * (self._certain * self._own)
         left_out = self.residual - part * self.innovation + own
-        x_read = self._x_rows[self._rows.read]
+        x_read = self.x_rows[self._rows.read]
 
         # A taxel within the noise counts as unpressed.
         within = np.float32(2 * blend.noise_sd + math.sqrt(TINY))

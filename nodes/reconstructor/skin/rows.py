@@ -64,6 +64,10 @@ class Rows(ABC):
     def measured(self, x: Floats, *phis: Phi) -> list[Floats]:
         """Return what each phi, a row subset, measures of x: float32 (m,) each."""
 
+    def measured_of(self, x: Floats, x_rows: Floats, phi: Phi) -> Floats:
+        """The same of one phi, where W x is known: `x_rows`, float32 (n_rows,)."""
+        return self.measured(x, phi)[0]
+
 
 class ReadRows(NamedTuple):
     """Rows that the measurements of a row subset read, by their place in W."""
@@ -141,7 +145,10 @@ class HadamardRows(Rows):
 
     def measured(self, x: Floats, *phis: Phi) -> list[Floats]:
         rows = self.forward(x)
-        return [rows.take(self._of(phi).places, mode="clip") for phi in phis]
+        return [self.measured_of(x, rows, phi) for phi in phis]
+
+    def measured_of(self, x: Floats, x_rows: Floats, phi: Phi) -> Floats:
+        return x_rows.take(self._of(phi).places, mode="clip")
 
 
 class CompiledRows(HadamardRows):

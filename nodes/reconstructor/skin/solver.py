@@ -190,7 +190,8 @@ class SkinSolver(CountsTiles):
 
     def expected(self, phi: Phi) -> Floats:
         """Return what a phi measures of the last estimate and the bias, float32 (m,)."""
-        (measured,) = self._rows.measured(self._estimator.vectors.x, phi)
+        vectors = self._estimator.vectors
+        measured = self._rows.measured_of(vectors.x, vectors.x_rows, phi)
         if self.bias:
             if phi.fingerprint not in self._ones:
                 all_ones = np.ones(phi.n, dtype=np.float32)

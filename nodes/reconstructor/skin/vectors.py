@@ -166,8 +166,8 @@ class Vectors(ABC):
 
     Attributes
     ----------
-    x : ndarray, shape (n,)
-        The last estimate.
+    x, x_rows : ndarray, shape (n,), (n_rows,)
+        The last estimate, and W x.
     doubt : ndarray, shape (n_read,)
         Part of each value of the rows read that no force explains, 0 to 1; set by `begin`.
     innovation : ndarray, shape (n_read,)
@@ -179,6 +179,7 @@ class Vectors(ABC):
     """
 
     x: Floats
+    x_rows: Floats
     doubt: Floats
     innovation: Floats
     predicted: Floats

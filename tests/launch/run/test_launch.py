@@ -2,6 +2,7 @@
 
 import json
 import os
+import shutil
 import signal
 
 import numpy as np
@@ -11,7 +12,8 @@ from conftest import wait_until
 from processes import SENSOR
 
 from sparseskin.launch.launchfile.load import BUNDLED
-from sparseskin.messages import Reconstruction
+from sparseskin.messages import Reconstruction, decode
+from sparseskin.nodes.recorder.bag.reader import BagReader
 
 EVERY_FRAME = ("--set", "reconstructor.depth=0")
 SLOWLY = (
@@ -115,6 +117,43 @@ def test_not_one_frame_is_lost_from_the_first_on(start, tmp_path):
         assert not node["refused"]
     assert "sensed 1200, reconstructed 1200, lost 0" in stdout
     assert program.survivors() == {}
+
+
+@pytest.mark.slow
+def test_live_replayed_and_by_any_executor_the_forces_are_the_same_bits(
+    start, tmp_path
+):
+    same = ("--set", "reconstructor.iterations=8")
+    quiet = ("--set", "monitor.page=false")
+    frames = ("--frames", "40")
+    live = ("lift_wrench_40", *frames, *EVERY_FRAME, "--record", "live.mcap")
+    start("launch", *live, *same, *quiet).ended()
+    replay = ("--set", "player.file=live.mcap", "--set", "player.rate=0")
+    again = ("replay_measurements", *replay, *EVERY_FRAME, "--record", "again.mcap")
+    start("launch", *again, *same, *quiet).ended()
+    shutil.copy(tmp_path / "live.mcap", tmp_path / "twin.mcap")
+    for executor in ("serial", "thread:2", "process:2"):
+        batch = ("live.mcap", "twin.mcap", "--out", executor, "--executor", executor)
+        (tmp_path / executor).mkdir()
+        start("reprocess", *batch, *same).ended()
+
+    expected = forces_in(tmp_path / "live.mcap")
+    assert len(expected) == 40
+    assert np.any(expected)
+    others = sorted({*tmp_path.rglob("*.mcap")} - {tmp_path / "live.mcap"})
+    assert len(others) == 2 + 3 * 2
+    for path in others:
+        assert forces_in(path).tobytes() == expected.tobytes()
+
+
+def forces_in(path):
+    """Forces of all frames that a recording has, in their order."""
+    with BagReader(path) as bag:
+        messages = [
+            decode(recorded.topic.encode(), recorded.payload)
+            for recorded in bag.messages(["/skin/reconstruction"])
+        ]
+    return np.array([m.forces[0] for m in messages if isinstance(m, Reconstruction)])
 
 
 @pytest.mark.parametrize("transport", ["ipc", "tcp"])

@@ -1,12 +1,12 @@
-"""A graph in three threads offline: the messages, their order and the times are those of a bus."""
+"""A graph by blocks of frames: the messages, their order and the times are those of a bus."""
 
-import threading
 from contextlib import closing
 
 import numpy as np
 import pytest
 
-from sparseskin.launch.offline.pipeline import Pipeline
+from sparseskin.launch.offline import blocks
+from sparseskin.launch.offline.blocks import BlockBus
 from sparseskin.messages import Message, Truth
 from sparseskin.nodes.bus import Bus
 from sparseskin.nodes.clock import ManualClock
@@ -49,7 +49,7 @@ class Again(Node):
 
 
 class Listener(Node):
-    """Notes what it receives, when, and in which thread."""
+    """Notes what it receives, and when."""
 
     @classmethod
     def inputs(cls, settings):
@@ -57,12 +57,11 @@ class Listener(Node):
 
     def __init__(self, settings, context):
         super().__init__(settings, context)
-        self.notes, self.threads = [], set()
+        self.notes = []
 
     def step(self, message: Message):
         now_ns = self.context.clock.now_ns()
         self.notes.append((message.topic, message.seq, message.stamp_ns, now_ns))
-        self.threads.add(threading.current_thread())
         return ()
 
 
@@ -78,39 +77,41 @@ def _nodes(source=Frames):
     }
 
 
-def test_listeners_receive_the_same_messages_at_the_same_times_in_a_thread_of_their_own():
+@pytest.mark.parametrize("n_frames", [1, 7, N_FRAMES, N_FRAMES + 1])
+def test_of_blocks_of_any_size_listeners_receive_the_same_messages_at_the_same_times(
+    monkeypatch, n_frames
+):
+    monkeypatch.setattr(blocks, "BLOCK_FRAMES", n_frames)
     clock = ManualClock()
     bus = Bus(_nodes(), clock)
     for messages in bus.frames():
         clock.advance(messages[-1].stamp_ns - clock.now_ns())
-    pipeline = Pipeline(_nodes())
-    with closing(pipeline):
-        n_frames = sum(1 for _ in pipeline.frames())
-    expected = bus.hosts["listener"].node
-    listener = pipeline.hosts["listener"].node
-    assert n_frames == N_FRAMES
-    assert len(listener.notes) == 3 * N_FRAMES
-    assert listener.notes == expected.notes
-    assert threading.current_thread() not in listener.threads
-    assert (
-        pipeline.hosts["listener"].counts.as_dict()
-        == bus.hosts["listener"].counts.as_dict()
-    )
+    block_bus = BlockBus(_nodes())
+    with closing(block_bus):
+        assert sum(1 for _ in block_bus.frames()) == N_FRAMES
+    expected = bus.hosts["listener"]
+    listener = block_bus.hosts["listener"]
+    assert len(listener.node.notes) == 3 * N_FRAMES
+    assert listener.node.notes == expected.node.notes
+    assert listener.counts.as_dict() == expected.counts.as_dict()
 
 
-def test_an_error_of_the_source_is_raised_and_no_thread_is_left():
+def test_a_block_holds_no_more_than_a_number_of_bytes(monkeypatch):
+    """Of frames of 4 bytes here: the source is 3 frames ahead at most."""
+    monkeypatch.setattr(blocks, "BLOCK_BYTES", 12)
+    block_bus = BlockBus(_nodes())
+    source = block_bus.hosts["frames"]
+    n_ahead = []
+    for k, _ in enumerate(block_bus.frames()):
+        n_ahead.append(source.counts.published["/skin/truth"] - k)
+    assert max(n_ahead) == 3
+
+
+def test_an_error_of_the_source_is_raised():
     class Fails(Frames):
         fails_at = 3
 
-    pipeline = Pipeline(_nodes(Fails))
-    with closing(pipeline), pytest.raises(ZeroDivisionError, match="of the source"):
-        for _ in pipeline.frames():
+    block_bus = BlockBus(_nodes(Fails))
+    with closing(block_bus), pytest.raises(ZeroDivisionError, match="of the source"):
+        for _ in block_bus.frames():
             pass
-    assert not any(thread.is_alive() for thread in pipeline._threads)
-
-
-def test_a_caller_that_stops_early_leaves_no_thread():
-    pipeline = Pipeline(_nodes())
-    with closing(pipeline):
-        next(pipeline.frames())
-    assert not any(thread.is_alive() for thread in pipeline._threads)
