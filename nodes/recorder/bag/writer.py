@@ -14,6 +14,8 @@ from importlib.metadata import version as version_of
 from pathlib import Path
 from typing import Any
 
+from mcap.writer import CompressionType, Writer
+
 from sparseskin.messages import Message, MessageError, encode
 from sparseskin.messages.base import omitted_fields, wire_fields
 from sparseskin.messages.fields import (
@@ -48,9 +50,9 @@ from .format import (
     TopicInfo,
     check_new_bag,
 )
-from .mcap_file import McapFile
-from .mcap_file import Message as McapMessage
 
+CHUNK_BYTES = 1 << 20
+"""A chunk is ended and compressed when its records exceed this many bytes."""
 KEPT = "recording ended, what it holds can be read"
 NOT_KEPT = "nothing was written"
 _DIALECT = "https://json-schema.org/draft/2020-12/schema"
@@ -161,8 +163,15 @@ class BagWriter(AbstractContextManager["BagWriter"]):
         except (OSError, ValueError) as error:
             reason = error.strerror if isinstance(error, OSError) else error
             raise BagError(f"{self.part}: {reason}") from error
-        library = LIBRARY_PREFIX + version_of("sparseskin")
-        self._mcap = McapFile(self._file, library)
+        # A reader believes the index if the checksum of the data before it is right.
+        self._mcap = Writer(
+            self._file,  # type: ignore[arg-type]
+            chunk_size=CHUNK_BYTES,
+            compression=CompressionType.LZ4,
+            enable_data_crcs=True,
+        )
+
+        self._mcap.start(library=LIBRARY_PREFIX + version_of("sparseskin"))
         self._mcap.add_metadata(GRAPH_RECORD, dict(metadata))
         # Now: a disk that takes nothing is reported before the first message.
         try:
@@ -189,14 +198,10 @@ class BagWriter(AbstractContextManager["BagWriter"]):
                 fault = f"{name} {time_ns} is outside 0..2**63 - 1"
                 raise BagError(f"{self.path}: {topic}: {fault}")
 
-        info = self._topics.get(topic)
-        if info is None:
-            info = self._topics[topic] = TopicInfo(schema, version)
         # 32 bits in the file.
+        info = self._topics.setdefault(topic, TopicInfo(schema, version))
         sequence = info.n_messages & 0xFFFFFFFF
-        self._mcap.add_message(
-            McapMessage(channel, log_time_ns, payload, stamp_ns, sequence)
-        )
+        self._mcap.add_message(channel, log_time_ns, payload, stamp_ns, sequence)
         info.add(schema, version, stamp_ns, log_time_ns)
         self.n_messages += 1
 
@@ -226,9 +231,8 @@ class BagWriter(AbstractContextManager["BagWriter"]):
         Raises BagError if the disk refuses, or the bag is closed.
         """
         self._check_open()
-        self._mcap.end_chunk()
         with self._disk():
-            self._file.flush()
+            self._mcap.flush()
         self._oldest_s = None
 
     def close(self, counts: Mapping[str, Any] | None = None) -> None:
@@ -281,9 +285,11 @@ class BagWriter(AbstractContextManager["BagWriter"]):
         if form not in self._schemas:
             text = json.dumps(json_schema(SCHEMAS[schema], version)).encode()
             name = SCHEMA_PREFIX + schema
-            self._schemas[form] = self._mcap.add_schema(name, "jsonschema", text)
+            self._schemas[form] = self._mcap.register_schema(name, "jsonschema", text)
         metadata = {VERSION_KEY: str(version)}
-        channel = self._mcap.add_channel(topic, ENCODING, self._schemas[form], metadata)
+        channel = self._mcap.register_channel(
+            topic, ENCODING, self._schemas[form], metadata
+        )
         self._channels[topic, schema, version] = channel
         return channel
 
@@ -305,7 +311,7 @@ class BagWriter(AbstractContextManager["BagWriter"]):
 
     def _finish(self, counts: Mapping[str, Any] | None) -> None:
         # Counts by topic: of a whole file, no message has to be read for them.
-        self._mcap.end_chunk()
+        self._mcap.flush()
         topics = {
             topic: dataclasses.asdict(info) for topic, info in self._topics.items()
         }

@@ -1,11 +1,9 @@
 """The writer: what reaches the disk, when, and what happens if it does not; hostile bags."""
 
-import io
 import json
 import zlib
 from dataclasses import replace
 
-import hypothesis.strategies as st
 import mcap.reader
 import numpy as np
 import pytest
@@ -21,18 +19,14 @@ from bags import (
     skin_state,
 )
 from damaged import refusal
-from hypothesis import given
 from mcap.records import ChunkIndex, MetadataIndex
-from mcap.writer import CompressionType, IndexType, Writer
+from mcap.writer import Writer
 
 from sparseskin.launch.commands.bag import info_document, info_lines
 from sparseskin.messages import End, Measurements, encode
 from sparseskin.messages.base import omitted_fields
-from sparseskin.messages.ranges import INT64_MAX
 from sparseskin.messages.wire import SCHEMAS
-from sparseskin.nodes.recorder.bag import mcap_file
 from sparseskin.nodes.recorder.bag.format import BagError, BagMessage
-from sparseskin.nodes.recorder.bag.mcap_file import McapFile, Message
 from sparseskin.nodes.recorder.bag.reader import BagReader
 from sparseskin.nodes.recorder.bag.writer import BagWriter, json_schema
 from sparseskin.nodes.recorder.convert.npz import export_npz
@@ -55,53 +49,6 @@ def test_what_was_written_is_read_back_byte_for_byte_and_in_order(tmp_path):
     ]
     assert all(message.log_time_ns == message.stamp_ns + LAG_NS for message in found)
     assert [entry.name for entry in tmp_path.iterdir()] == ["a.mcap"]
-
-
-times_ns = st.integers(0, INT64_MAX)
-mcap_messages = st.builds(
-    Message, st.integers(1, 3), times_ns, st.binary(), times_ns, st.integers(0, 9)
-)
-mcap_events = st.one_of(
-    mcap_messages, st.just("end of a chunk"), st.dictionaries(st.text(), st.text())
-)
-
-
-@given(st.lists(mcap_events))
-def test_the_file_is_that_of_the_library_byte_for_byte(events):
-    """Of any messages, chunks of any size, and metadata between them."""
-    expected = io.BytesIO()
-    library = Writer(
-        expected,
-        chunk_size=100,
-        compression=CompressionType.LZ4,
-        index_types=IndexType.ALL & ~IndexType.ATTACHMENT,
-        enable_data_crcs=True,
-    )
-    library.start(library="of a test")
-    file = io.BytesIO()
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(mcap_file, "CHUNK_BYTES", 100)
-        writer = McapFile(file, "of a test")
-        for name in ("a", "b", "c"):
-            schema = library.register_schema(name, "jsonschema", b"{}")
-            assert writer.add_schema(name, "jsonschema", b"{}") == schema
-            channel = library.register_channel(f"/{name}", "msgpack", schema, {"v": ""})
-            assert (
-                writer.add_channel(f"/{name}", "msgpack", schema, {"v": ""}) == channel
-            )
-        for event in events:
-            if isinstance(event, Message):
-                library.add_message(*event)
-                writer.add_message(event)
-            elif isinstance(event, dict):
-                library.add_metadata("texts", event)
-                writer.add_metadata("texts", event)
-            else:
-                library.flush()
-                writer.end_chunk()
-        library.finish()
-        writer.finish()
-    assert file.getvalue() == expected.getvalue()
 
 
 def test_it_is_an_mcap_that_describes_its_own_schemas(tmp_path):
