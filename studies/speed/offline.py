@@ -47,12 +47,9 @@ class Used(NamedTuple):
 
 def points(quick: bool, seed: int) -> list[dict[str, Any]]:
     """One recording of each scene, in as many iterations as `ITERATIONS` has."""
-    common = {
-        "first": FIRST,
-        "n_frames": QUICK_N_FRAMES if quick else N_FRAMES,
-        "slices": QUICK_SLICES if quick else SLICES,
-        "seed": seed,
-    }
+    common = {"first": FIRST, "n_frames": N_FRAMES, "slices": SLICES, "seed": seed}
+    if quick:
+        common |= {"n_frames": QUICK_N_FRAMES, "slices": QUICK_SLICES}
     return [
         {**common, "scene": scene, "iterations": iterations}
         for scene in SCENES

@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from sparseskin.nodes.numerics.arrays import Floats, Indices
+from sparseskin.nodes.numerics.arrays import Doubles, Floats, Indices
 
 from .tiles import Tiles
 
@@ -24,7 +24,7 @@ _N_OF_SIZES = (1, 16, 4, 1)
 
 
 class Deviations(NamedTuple):
-    """Deviations of the sums of windows of unit noise; windows that differ in nothing share them.
+    """Deviations of the sums of windows of unit noise; windows that are alike share them.
 
     Attributes
     ----------
@@ -34,7 +34,7 @@ class Deviations(NamedTuple):
         Row of `of_kinds` of each window, of each shift.
     """
 
-    of_kinds: Floats
+    of_kinds: Doubles
     kinds: tuple[Indices, ...]
 
 
@@ -59,7 +59,7 @@ def scales_of(tiles: Tiles) -> Floats:
     return _scales(deviations_of(tiles).of_kinds, tiles.strictness)
 
 
-def _scales(deviations: Floats, strictness: float) -> Floats:
+def _scales(deviations: Doubles, strictness: float) -> Floats:
     limits = np.repeat(STANDS_OUT, _N_OF_SIZES) * strictness * deviations
     scales = np.zeros_like(limits)
     np.divide(1, limits, out=scales, where=limits > 0)
@@ -95,10 +95,10 @@ def _variances(copies: Floats) -> Floats:
     return variances
 
 
-def _full() -> Floats:
+def _full() -> Doubles:
     """Deviations of a window with a taxel in each cell, (1, N_SUMS)."""
-    sides = (1, 3, 6, 12)
-    return np.repeat(np.float64(sides), _N_OF_SIZES)[np.newaxis]
+    sides = np.array([1, 3, 6, 12], dtype=np.float64)
+    return np.repeat(sides, _N_OF_SIZES)[np.newaxis]
 
 
 def _sums(windows: Floats) -> Floats:
