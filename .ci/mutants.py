@@ -11,9 +11,10 @@ is no fault, and None in place of a value, which mypy finds.
 
 For each mutant those quick tests of its area run that reach its statement, in any of their
 processes, up to the first that fails. Those of the module's name run first, then those of its
-folder, short ones before long ones, and as many as take `MOST_S`. The golden hashes are not among
-them: a hash says that something has changed, and not what is wrong. A mutant under which the tests
-take five times as long is caught.
+folder, short ones before long ones, and as many as take `MOST_S`. On a line outside functions, as a
+constant, all tests may run, those first that reach a statement which reads it. The golden hashes
+are not among them: a hash says that something has changed, and not what is wrong. A mutant under
+which the tests take five times as long is caught.
 
 A sample is the same as long as the code is, and changes little with it. The interval is that of
 Wilson for a share of which only a sample is known. Tests that were written for the survivors of one
@@ -33,13 +34,13 @@ import subprocess
 import sys
 import tempfile
 import tomllib
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
 
 from mutant_tests import Test, first_failure, record
-from mutation import Mutant, mutants_of, statement_of, with_marks
+from mutation import Mutant, mutants_of, statement_of, users_of, with_marks
 
 PER_AREA = 40
 WANTED_PERCENT = 85
@@ -218,7 +219,7 @@ def _score(
         path.write_text(mutant.code)
         # Another second for each, by which Python knows that its bytecode is not current.
         os.utime(path, (number, number))
-        chosen = tests_of(mutant, codes[mutant.module], tests)
+        chosen = tests_of(mutant, codes, tests)
         failed = first_failure(tree, chosen) if chosen else ""
         _count(score, mutant, failed, explained, len(chosen))
         shutil.copy2(ROOT / mutant.module, path)
@@ -277,25 +278,23 @@ def _count(
     print(place, f"    - {mutant.old}", f"    + {mutant.new}", sep="\n", flush=True)
 
 
-def tests_of(mutant: Mutant, code: str, tests: list[Test]) -> list[Test]:
-    """Tests that reach the statement of a mutant, in the order in which they are tried."""
-    line = statement_of(code, mutant.line)
-    if line is None:  # outside functions: it runs when the module is imported
-        start = f"{mutant.module}:"
-        marks = {
-            mark for test in tests for mark in test.marks if mark.startswith(start)
-        }
+def tests_of(mutant: Mutant, codes: Mapping[str, str], tests: list[Test]) -> list[Test]:
+    """Tests that reach the statement of a mutant, in the order in which they are tried. Outside
+    functions all tests, those first that reach a statement which reads what is defined there.
+    `codes` are the texts of the modules of the area.
+    """
+    line = statement_of(codes[mutant.module], mutant.line)
+    if line is None:
+        marks = users_of(codes, mutant.module, mutant.line)
+        reaching = list(tests)
     else:
         marks = {f"{mutant.module}:{line}"}
-    reaching = [test for test in tests if test.marks & marks]
-    if line is None:
-        # A test of a default may run none of the module's functions.
-        named = [test for test in tests if _is_named(test.name, mutant.module)]
-        reaching += [test for test in named if test not in reaching]
+        reaching = [test for test in tests if test.marks & marks]
     folder = str(Path("tests") / Path(mutant.module).parent)
     reaching.sort(
         key=lambda test: (
             not _is_named(test.name, mutant.module),
+            not test.marks & marks,
             not test.name.startswith(folder),
             test.seconds,
         )

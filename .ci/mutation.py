@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ast
 import re
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from difflib import ndiff
 from itertools import accumulate
@@ -121,12 +122,53 @@ def _is_none(node: libcst.CSTNode | None) -> bool:
 
 def statement_of(code: str, line: int) -> int | None:
     """First line of the innermost statement of a function at a line; None outside functions."""
+    return _statement_at(_bodies(ast.parse(code)), line)
+
+
+def _statement_at(bodies: Sequence[Sequence[ast.stmt]], line: int) -> int | None:
     start = None
-    for body in _bodies(ast.parse(code)):
+    for body in bodies:
         for statement in body:
             if statement.lineno <= line <= (statement.end_lineno or 0):
                 start = max(start or 0, statement.lineno)
     return start
+
+
+def users_of(codes: Mapping[str, str], module: str, line: int) -> set[str]:
+    """`module:line` of the statements that read what a line outside functions defines: those of a
+    function whose head it is, and those of `codes`, texts by module, that name its variable.
+    """
+    marks: set[str] = set()
+    names: set[str] = set()
+    for node in ast.walk(ast.parse(codes[module])):
+        if not isinstance(node, ast.stmt):
+            continue
+        if not node.lineno <= line <= (node.end_lineno or 0):
+            continue
+        if isinstance(node, ast.FunctionDef):
+            marks |= {f"{module}:{statement.lineno}" for statement in node.body}
+        elif isinstance(node, ast.Assign):
+            names |= {_name(target) for target in node.targets}
+        elif isinstance(node, ast.AnnAssign):
+            names.add(_name(node.target))
+    names.discard("")
+
+    for path, code in codes.items():
+        tree = ast.parse(code)
+        bodies = _bodies(tree)
+        for node in ast.walk(tree):
+            if isinstance(node, ast.expr) and _name(node) in names:
+                marks.add(f"{path}:{_statement_at(bodies, node.lineno)}")
+    return marks
+
+
+def _name(node: ast.expr) -> str:
+    """Name of a variable or of an attribute; "" of any other expression."""
+    if isinstance(node, ast.Name):
+        return node.id
+    if isinstance(node, ast.Attribute):
+        return node.attr
+    return ""
 
 
 def with_marks(code: str, module: str) -> str:
