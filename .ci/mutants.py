@@ -7,7 +7,7 @@
 
 A mutant is a module with one expression changed, as mutmut changes it: an operator, a number, a
 condition, an argument left out. Two kinds are left out: texts, since a changed letter of a message
-is no fault, and None in place of a value, which mypy finds.
+is no fault, and what mypy refuses, for which no test is needed.
 
 For each mutant those quick tests of its area run that reach its statement, in any of their
 processes, up to the first that fails. Those of the module's name run first, then those of its
@@ -115,10 +115,16 @@ class Score:
     n_equivalent: int = 0
     """Explained as a change of nothing that the program does."""
     n_survived: int = 0
+    n_refused: int = 0
+    """Refused by mypy, and therefore not of the sample."""
 
     @property
     def n_sample(self) -> int:
         return self.n_caught + self.n_survived
+
+    @property
+    def n_tried(self) -> int:
+        return self.n_sample + self.n_equivalent
 
     def __str__(self) -> str:
         low, high = interval(self.n_caught, self.n_sample)
@@ -126,7 +132,8 @@ class Score:
         return (
             f"{self.area}: {self.n_caught} of {self.n_sample} caught ({percent:.0f} %, "
             f"90 % interval {100 * low:.0f} to {100 * high:.0f}; {self.n_by_name} by tests of the "
-            f"module's name; {self.n_equivalent} change nothing; {self.n_mutants} mutants in all)"
+            f"module's name; {self.n_equivalent} change nothing; {self.n_refused} more refused by "
+            f"mypy; {self.n_mutants} mutants in all)"
         )
 
 
@@ -158,6 +165,8 @@ def main() -> int:
         with tempfile.TemporaryDirectory(prefix="mutants-") as folder:
             tree = Path(folder)
             _copy(tree)
+            if not _has_types(tree):
+                raise SystemExit("mypy refuses the package without a mutant")
             tests = _recorded(tree, members, arguments.tests or paths)
             for name in members:
                 score = _score(
@@ -214,16 +223,27 @@ def _score(
     mutants = [mutant for module in codes for mutant in mutants_of(ROOT, module)]
     mutants.sort(key=lambda mutant: _lot(mutant, draw))
     score = Score(name, len(mutants))
-    for number, mutant in enumerate(mutants[:size], 1):
+    for number, mutant in enumerate(mutants, 1):
+        if score.n_tried == size:
+            break
         path = tree / mutant.module
         path.write_text(mutant.code)
         # Another second for each, by which Python knows that its bytecode is not current.
         os.utime(path, (number, number))
-        chosen = tests_of(mutant, codes, tests)
-        failed = first_failure(tree, chosen) if chosen else ""
-        _count(score, mutant, failed, explained, len(chosen))
+        if _has_types(tree):
+            chosen = tests_of(mutant, codes, tests)
+            failed = first_failure(tree, chosen) if chosen else ""
+            _count(score, mutant, failed, explained, len(chosen))
+        else:
+            score.n_refused += 1
         shutil.copy2(ROOT / mutant.module, path)
     return score
+
+
+def _has_types(tree: Path) -> bool:
+    """True if mypy accepts the package as it stands in the tree."""
+    command = [sys.executable, "-m", "mypy", "--package", "sparseskin"]
+    return not subprocess.run(command, cwd=tree, capture_output=True).returncode
 
 
 def _modules(area: str) -> list[str]:
@@ -255,6 +275,9 @@ def _copy(tree: Path) -> None:
         target.parent.mkdir(parents=True, exist_ok=True)
         # With its time, by which compiled loops know that they are current; links stay links.
         shutil.copy2(ROOT / name, target, follow_symlinks=False)
+    checked = ROOT / ".mypy_cache"
+    if checked.is_dir():
+        shutil.copytree(checked, tree / checked.name)
 
 
 def _count(

@@ -36,13 +36,13 @@ class Mutant:
 
 
 def mutants_of(root: Path, name: str) -> list[Mutant]:
-    """Mutants of a module, other than those of texts, those that mypy finds, and small ones."""
+    """Mutants of a module, other than those of texts, and small ones."""
     code = (root / name).read_text()
     module, mutations, _, _ = create_mutations(name, code)
     splice = _Splice(module, code)
     mutants = []
     for mutation in mutations:
-        if _is_found_by_types(mutation) or _is_small(mutation):
+        if _is_small(mutation):
             continue
         mutant = _mutant(name, code, splice.code_of(mutation))
         if _TEXT.sub("", mutant.old) != _TEXT.sub("", mutant.new):
@@ -93,31 +93,12 @@ def _mutant(module: str, code: str, changed: str) -> Mutant:
     return Mutant(module, changed, old, new, start + 1)
 
 
-def _is_found_by_types(mutation: Mutation) -> bool:
-    """True where None and a value change places: mypy refuses nearly all of these."""
-    old = mutation.original_node
-    new = mutation.mutated_node
-    if isinstance(new, libcst.Assign | libcst.AnnAssign):
-        assert isinstance(old, libcst.Assign | libcst.AnnAssign | libcst.AugAssign)
-        return _is_none(new.value) or _is_none(old.value)
-    if isinstance(new, libcst.Lambda):
-        return True
-    if isinstance(old, libcst.Call) and isinstance(new, libcst.Call):
-        n_none_before = sum(_is_none(argument.value) for argument in old.args)
-        return sum(_is_none(argument.value) for argument in new.args) > n_none_before
-    return False
-
-
 def _is_small(mutation: Mutation) -> bool:
     """True where a large number is changed by one."""
     old = mutation.original_node
     return (
         isinstance(old, libcst.Integer | libcst.Float) and old.evaluated_value >= LARGE
     )
-
-
-def _is_none(node: libcst.CSTNode | None) -> bool:
-    return isinstance(node, libcst.Name) and node.value == "None"
 
 
 def statement_of(code: str, line: int) -> int | None:
