@@ -5,9 +5,11 @@ import json
 import signal
 
 from sparseskin.launch.launchfile.load import load
+from sparseskin.launch.run import controls
 from sparseskin.launch.run import fleet as fleets
 from sparseskin.launch.run import launcher as launchers
 from sparseskin.launch.run import process as processes
+from sparseskin.launch.run.fleet import Fleet
 from sparseskin.launch.run.process import NodePipes, NodeProcess
 
 GRAPH = """
@@ -51,11 +53,11 @@ class PlayedProcess:
 
 
 class Stage:
-    """A graph of played nodes, under a clock that the test sets."""
+    """A graph of played nodes and its fleet, under a clock that the test sets."""
 
     def __init__(self, tmp_path, monkeypatch, graph="", step_s=0.0):
         monkeypatch.setenv("SPARSESKIN_RUNTIME_DIR", str(tmp_path / "graphs"))
-        for module in (fleets, processes, launchers):
+        for module in (fleets, processes, launchers, controls):
             monkeypatch.setattr(module, "awake_s", self._awake_s)
         monkeypatch.setattr(fleets, "POLL_S", 0.0)
         monkeypatch.setattr(fleets, "start_process", self._start)
@@ -69,6 +71,27 @@ class Stage:
         """Names of the nodes of each process that was started, in order."""
         self._ends = {}
         self._rest = {}
+        self.fleet = Fleet(self.launch, 0, self.lines.append)
+
+    def node(self, name):
+        return self.fleet.nodes[name]
+
+    def run(self, supervised=True):
+        """Start the graph, to where all nodes are ready."""
+        self.fleet.spawn()
+        for name in NAMES:
+            self.bound(name)
+        self.fleet.serve()
+        for name in NAMES:
+            self.says(name, "ready")
+        self.fleet.serve()
+        for name in NAMES:
+            self.received(name)
+        self.fleet.supervised = supervised
+
+    def die(self, name, code=3):
+        self.node(name).process.code = code
+        self.fleet.serve()
 
     def _awake_s(self):
         self.now_s += self.step_s
@@ -126,5 +149,8 @@ class Stage:
         self.says(name, "heartbeat", **silent | {"heard": {}, "clocks": {}} | fields)
 
     def close(self):
+        for node in self.fleet:
+            node.process.code = 0
+            node.close()
         for pipes in self._ends.values():
             pipes.close_of_node()

@@ -4,7 +4,7 @@ import signal
 from dataclasses import replace
 
 import pytest
-from played import NAMES, Stage
+from played import NAMES
 
 from sparseskin.launch.run import launcher as launchers
 from sparseskin.launch.run.controls import LiveRecording
@@ -38,50 +38,6 @@ SAYS = {
 
 def line(kind, *words):
     return SAYS[kind].format(*words)
-
-
-class Played(Stage):
-    """A fleet of played nodes."""
-
-    def __init__(self, *args, **options):
-        super().__init__(*args, **options)
-        self.fleet = Fleet(self.launch, 0, self.lines.append)
-
-    def node(self, name):
-        return self.fleet.nodes[name]
-
-    def run(self, supervised=True):
-        """Start the graph, to where all nodes are ready."""
-        self.fleet.spawn()
-        for name in NAMES:
-            self.bound(name)
-        self.fleet.serve()
-        for name in NAMES:
-            self.says(name, "ready")
-        self.fleet.serve()
-        for name in NAMES:
-            self.received(name)
-        self.fleet.supervised = supervised
-
-    def die(self, name, code=3):
-        self.node(name).process.code = code
-        self.fleet.serve()
-
-
-@pytest.fixture
-def stage(tmp_path, monkeypatch):
-    stages = []
-
-    def make(graph="", **options):
-        stages.append(Played(tmp_path, monkeypatch, graph, **options))
-        return stages[-1]
-
-    yield make
-    for played in stages:
-        for node in played.fleet:
-            node.process.code = 0
-            node.close()
-        played.close()
 
 
 def test_each_node_is_started_with_what_it_reads_and_who_reads_it(stage):
