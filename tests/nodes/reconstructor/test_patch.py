@@ -86,6 +86,18 @@ def test_the_residual_is_the_root_mean_square_of_what_the_forces_do_not_explain(
     )
 
 
+def test_the_residual_is_that_of_the_forces_that_are_stated():
+    """Of a press at the end of the range, where the forces are cut to it."""
+    bench = Bench(skin={"f_max": 0.6})
+    for readings in FRAMES:
+        solved = bench.frame(readings)
+    assert solved.forces.max() == np.float32(0.6)
+    y = PHI.forward(FRAMES[-1].reshape(-1))
+    unexplained = y - PHI.forward(solved.forces.reshape(-1))
+    rms = np.sqrt(np.mean(np.square(unexplained)))
+    assert solved.residual == pytest.approx(rms, rel=1e-4)
+
+
 def test_of_missing_taxels_nothing_is_known():
     bench = Bench(uncertainty=True)
     for readings in FRAMES:
