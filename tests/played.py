@@ -1,5 +1,6 @@
 """Nodes whose processes are played by a test: what they are sent, and what they answer."""
 
+import contextlib
 import itertools
 import json
 import signal
@@ -27,6 +28,29 @@ type = "monitor"
 page = false
 """
 NAMES = ["sensor", "compressor", "reconstructor", "monitor"]
+
+#: Wording of the launcher, in one place; the tests state which of these is logged, and when.
+SAYS = {
+    "died": "[launch] {} ended too early: {}",
+    "again": "[launch] {} is started again (restart {})",
+    "given up": " ({} restarts within {} s: given up)",
+    "silent": "[launch] {} {} been silent for {:g} s: SIGKILL",
+    "stubborn": "[launch] {} does not end: {}",
+    "error": "[{}] error: {}",
+    "of process": " (of the same process: {})",
+    "drain": "[launch] not drained after 5 s: {}",
+    "late": "{} (waits for {})",
+    "last": "{} (has not ended its stream)",
+    "imports": "{} has not started: it imports, compiles, or opens its device",
+    "start": "[launch] after 240 s: {}",
+    "errors": "[launch] {} raised {} errors (see its log)",
+    "gone": "[launch] {} was gone before its streams had ended: its last messages may be missing",
+    "no answer": "{} has not answered yet",
+}
+
+
+def line(kind, *words):
+    return SAYS[kind].format(*words)
 
 
 class PlayedProcess:
@@ -154,3 +178,32 @@ class Stage:
             node.close()
         for pipes in self._ends.values():
             pipes.close_of_node()
+
+
+class Screen:
+    """A terminal whose keys the test presses."""
+
+    def __init__(self):
+        self.lines = []
+        self.recorded = []
+        self.keys = []
+        self.shown = ""
+        self.keyboard_wanted = False
+
+    def log(self, line):
+        self.lines.append(line)
+
+    def record(self, line):
+        self.recorded.append(line)
+
+    def status(self, text):
+        self.shown = text
+
+    @contextlib.contextmanager
+    def keyboard(self, wanted):
+        self.keyboard_wanted = wanted
+        yield
+
+    def pressed(self):
+        keys, self.keys = self.keys, []
+        return keys

@@ -4,40 +4,16 @@ import signal
 from dataclasses import replace
 
 import pytest
-from played import NAMES
+from played import NAMES, line
 
-from sparseskin.launch.run import launcher as launchers
 from sparseskin.launch.run.controls import LiveRecording
 from sparseskin.launch.run.fleet import EXIT_FAILED, EXIT_USAGE, GRACE_S, START_S, Fleet
-from sparseskin.launch.run.launcher import Launcher
-from sparseskin.launch.run.running import RunningGraph
 from sparseskin.launch.run.state import graph_description, graph_state
 from sparseskin.launch.run.waiting import late_at_end, waits_for
 
 RESTART = (
     'restart = "on-failure"\nrestart_delay_s = 2.0\nmax_restarts = 2\nhang_s = 10.0'
 )
-
-
-#: Wording of the launcher, in one place; the tests state which of these is logged, and when.
-SAYS = {
-    "died": "[launch] {} ended too early: {}",
-    "again": "[launch] {} is started again (restart {})",
-    "given up": " ({} restarts within {} s: given up)",
-    "silent": "[launch] {} {} been silent for {:g} s: SIGKILL",
-    "stubborn": "[launch] {} does not end: {}",
-    "error": "[{}] error: {}",
-    "of process": " (of the same process: {})",
-    "drain": "[launch] not drained after 5 s: {}",
-    "late": "{} (waits for {})",
-    "last": "{} (has not ended its stream)",
-    "imports": "{} has not started: it imports, compiles, or opens its device",
-    "no answer": "{} has not answered yet",
-}
-
-
-def line(kind, *words):
-    return SAYS[kind].format(*words)
 
 
 def test_each_node_is_started_with_what_it_reads_and_who_reads_it(stage):
@@ -399,145 +375,3 @@ def test_nothing_is_waited_for_once_a_node_runs(stage):
     assert waits_for(compressor, played.launch) == line("no answer", "compressor")
     played.node("compressor").ready = True
     assert waits_for(played.node("compressor"), played.launch) == ""
-
-
-class Screen:
-    """A terminal whose keys the test presses."""
-
-    def __init__(self):
-        self.lines = []
-        self.recorded = []
-        self.keys = []
-        self.shown = ""
-
-    def log(self, line):
-        self.lines.append(line)
-
-    def record(self, line):
-        self.recorded.append(line)
-
-    def status(self, text):
-        self.shown = text
-
-    def pressed(self):
-        keys, self.keys = self.keys, []
-        return keys
-
-
-@pytest.fixture
-def launcher(stage):
-    """A launcher of played nodes that run."""
-    played = stage()
-    screen = Screen()
-    played.launcher = Launcher(played.launch, screen, keys={"p": ("sensor", "pause")})
-    played.screen = screen
-    played.fleet = played.launcher._fleet
-    played.run()
-    return played
-
-
-def test_a_key_of_the_terminal_is_a_command_and_others_end_the_graph(launcher):
-    launcher.screen.keys = ["p", "x"]
-    launcher.launcher._serve()
-    assert launcher.commands("sensor") == ["pause"]
-    assert launcher.launcher._interrupts == 0
-    launcher.screen.keys = ["q"]
-    launcher.launcher._serve()
-    assert launcher.launcher._interrupts == 1
-    launcher.screen.keys = ["\x03"]
-    launcher.launcher._serve()
-    assert launcher.launcher._interrupts == 2
-
-
-def test_the_trace_of_an_error_is_recorded_and_not_shown(launcher):
-    launcher.says("sensor", "raised", trace="Traceback\nValueError: no")
-    launcher.fleet.serve()
-    assert launcher.screen.recorded == ["[sensor] Traceback", "[sensor] ValueError: no"]
-    assert launcher.screen.lines == []
-
-
-def test_the_status_is_that_of_the_ends_of_the_graph(launcher):
-    for name in NAMES:
-        launcher.heartbeat(name, line=f"line of {name}")
-    launcher.launcher._serve()
-    assert launcher.screen.shown == "line of monitor"
-
-
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
-def test_a_signal_is_the_exit_code_unless_a_node_has_failed(launcher, number):
-    launcher.launcher._on_signal(number, None)
-    assert launcher.launcher._exit_code == 128 + number
-    launcher.launcher._on_signal(signal.SIGINT, None)
-    assert launcher.launcher._exit_code == 128 + number
-    assert launcher.launcher._interrupts == 2
-
-
-def test_a_signal_after_a_failure_leaves_its_exit_code(launcher):
-    launcher.die("compressor")
-    launcher.launcher._on_signal(signal.SIGINT, None)
-    assert launcher.launcher._exit_code == EXIT_FAILED
-
-
-def test_nodes_end_once_the_graph_that_they_joined_is_gone(launcher, monkeypatch):
-    """It is looked for twice a second."""
-    runs = [True]
-    joined = RunningGraph("other", 7, 0, "", {})
-    launcher.launcher._joined = joined
-    monkeypatch.setattr(launchers, "is_running", lambda graph: runs[0])
-    launcher.launcher._serve()
-    assert launcher.launcher._interrupts == 0
-    runs[0] = False
-    launcher.now_s += 0.4
-    launcher.launcher._serve()
-    assert launcher.launcher._interrupts == 0
-    launcher.now_s += 0.2
-    launcher.launcher._serve()
-    assert launcher.launcher._interrupts == 1
-    launcher.now_s += 10.0
-    launcher.launcher._serve()
-    assert launcher.launcher._interrupts == 1
-
-
-def test_a_graph_that_drains_stops_its_sources_and_names_who_is_late(launcher):
-    launcher.step_s = 0.5
-    launcher.launcher._drain()
-    for node in launcher.fleet:
-        assert node.process.signals == [signal.SIGINT]
-    (drained,) = launcher.screen.lines
-    assert drained.startswith(line("drain", line("last", "sensor")))
-
-
-def test_one_who_interrupts_a_drain_is_told_nothing_more(launcher):
-    launcher.launcher._interrupts = 2
-    launcher.launcher._drain()
-    assert launcher.screen.lines == []
-
-
-def test_nodes_behind_one_that_is_dead_need_not_drain(launcher):
-    assert not launcher.launcher._all_drained()
-    launcher.node("sensor").ended = True
-    launcher.node("compressor").process.code = -9
-    assert launcher.launcher._all_drained()
-
-
-def test_a_summary_after_a_restart_has_what_each_node_reports(launcher):
-    launcher.says(
-        "monitor", "ended", counts={"refused": {}}, report={"n": 7}, clocks={}
-    )
-    launcher.fleet.serve()
-    launcher.fleet.restarts["sensor"].total = 2
-    summary = launcher.launcher.summary()
-    assert summary["nodes"]["monitor"]["n"] == 7
-    assert summary["nodes"]["sensor"]["restarts"] == 2
-
-
-def test_a_summary_has_what_each_node_reports_and_counts(launcher):
-    launcher.says(
-        "monitor", "ended", counts={"refused": {}}, report={"n": 7}, clocks={}
-    )
-    launcher.fleet.serve()
-    summary = launcher.launcher.summary()
-    assert summary["nodes"]["monitor"]["n"] == 7
-    assert summary["nodes"]["monitor"]["type"] == "monitor"
-    assert summary["nodes"]["monitor"]["restarts"] == 0
-    assert summary["launch"] == launcher.launch.name
