@@ -400,3 +400,49 @@ def test_a_summary_has_what_each_node_reports_and_counts(launcher):
     assert summary["nodes"]["monitor"]["type"] == "monitor"
     assert summary["nodes"]["monitor"]["restarts"] == 0
     assert summary["launch"] == launcher.launch.name
+
+
+def test_a_summary_has_the_patches_that_all_nodes_report(launcher):
+    reports = {"sensor": {"left": {"a": 1}}, "monitor": {"left": {"b": 2}, "right": {}}}
+    for name, patches in reports.items():
+        launcher.says(name, "ended", counts={}, report={"patches": patches}, clocks={})
+    launcher.fleet.serve()
+    summary = launcher.launcher.summary()
+    assert summary["patches"] == {"left": {"b": 2}, "right": {}}
+    assert "patches" not in summary["nodes"]["sensor"]
+
+
+def test_a_summary_states_why_nodes_have_failed_and_what_they_have_left(launcher):
+    launcher.fleet.restarts["sensor"].failures.extend(["cable", "heat"])
+    launcher.fleet.left["sensor"] = ["a.mcap.part is left"]
+    report = {"lines": ["3 frames"]}
+    launcher.says("sensor", "ended", counts={"errors": 2}, report=report, clocks={})
+    launcher.fleet.serve()
+    summary = launcher.launcher.summary()["nodes"]["sensor"]
+    assert summary["failures"] == ["cable", "heat"]
+    assert summary["lines"] == ["3 frames", "a.mcap.part is left"]
+    assert summary["errors"] == 2
+
+
+def test_a_summary_of_a_part_has_its_host_and_what_is_known_of_the_others(launcher):
+    assert "host" not in launcher.launcher.summary()
+    hosts = {name: Host("127.0.0.1") for name in ("edge", "desk")}
+    launcher.launcher._launch = replace(launcher.launch, hosts=hosts, host="edge")
+    summary = launcher.launcher.summary()
+    assert summary["host"] == "edge"
+    assert summary["hosts"].keys() == {"desk"}
+
+
+def test_after_a_restart_of_any_node_reports_are_those_of_all_runs(launcher):
+    """Of nodes that were started again, and of the others."""
+    asked = []
+    for node in launcher.fleet:
+        cls = type("Counted", (node.spec.cls,), {"totals": classmethod(
+            lambda cls, settings, report, counts, again: asked.append(again) or {"n": 9}
+        )})  # fmt: skip
+        node.spec = replace(node.spec, cls=cls)
+    assert "n" not in launcher.launcher.summary()["nodes"]["sensor"]
+    launcher.fleet.restarts["compressor"].total = 1
+    summary = launcher.launcher.summary()
+    assert asked == [False, True, False, False]
+    assert summary["nodes"]["sensor"]["n"] == 9
