@@ -15,6 +15,7 @@ from sparseskin.nodes.reconstructor import patch as patches
 from sparseskin.nodes.reconstructor.limits import OTHER_ROWS
 from sparseskin.nodes.reconstructor.patch import Patch
 from sparseskin.nodes.reconstructor.settings import ReconstructorSettings
+from sparseskin.nodes.reconstructor.skin.solver import SkinSolver
 from sparseskin.nodes.sensor.noise import NoiseModel
 
 SIDE = 16
@@ -419,6 +420,22 @@ def test_a_warning_is_logged_once():
     bench = Bench(solver="fista", basis="haar", iterations=5)
     (line,) = (line for line in bench.lines if line.startswith("iterations"))
     assert "fista takes several frames" in line
+
+
+@pytest.mark.parametrize(
+    ("kind", "stated", "is_warned"),
+    [
+        ("subsample", {}, True),
+        ("sbhe", {}, False),
+        ("subsample", {"solver": "fista", "basis": "haar"}, False),
+    ],
+)
+def test_the_default_solver_is_advised_against_where_single_taxels_are_read(
+    kind, stated, is_warned
+):
+    phi = make_phi(kind, SIDE**2, SIDE**2 // 2, seed=0)
+    lines = Bench(phi=phi, **stated).lines
+    assert (SkinSolver.warning_of_samples in lines) == is_warned
 
 
 def test_another_solver_in_the_middle_of_a_stream_begins_with_the_last_forces():
