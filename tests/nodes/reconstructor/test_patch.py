@@ -358,6 +358,13 @@ def test_a_patch_of_the_same_skin_has_the_steps_of_the_first(monkeypatch):
     assert second.frame(FRAMES[5]).iterations == 7
 
 
+def test_patches_of_the_same_skin_share_the_tables_of_touches_and_not_the_touches():
+    first = Bench(contacts=True)
+    second = Bench(contacts=True, alike=first.patch)
+    assert second.patch._touch.test is first.patch._touch.test
+    assert second.patch._touch is not first.patch._touch
+
+
 def test_what_is_stated_of_a_solver_is_what_it_uses():
     bench = Bench(solver="fista", basis="haar", iterations=20, lambda_n=0.004)
     assert bench.stated["basis"] == "haar"
