@@ -259,6 +259,14 @@ def test_the_first_frame_that_holds_nothing_is_of_zeros():
     assert solved.residual == pytest.approx(0.3)
 
 
+def test_the_residual_of_the_largest_measurements_is_a_number():
+    """Their squares are beyond float32."""
+    bench = Bench(solver="fista", basis="haar")
+    bench.patch.read(PHI, np.full(PHI.m, 1e29, dtype=np.float32))
+    bench.patch.solve()
+    assert bench.patch.check().residual == pytest.approx(1e29)
+
+
 def test_faults_are_logged_and_measured_by_the_noise_and_range_of_the_skin():
     bench = Bench()
     for _ in range(6):
