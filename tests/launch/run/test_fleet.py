@@ -1,13 +1,16 @@
 """The processes of a graph, which a test plays: joined, listened to, started again, ended."""
 
+import os
 import signal
 from dataclasses import replace
 
 import pytest
 from played import NAMES, line
 
+from sparseskin.launch.launchfile.hosts import Host
 from sparseskin.launch.run.controls import LiveRecording
 from sparseskin.launch.run.fleet import EXIT_FAILED, EXIT_USAGE, GRACE_S, START_S, Fleet
+from sparseskin.launch.run.running import RunningGraph, RunningNode, control_path
 from sparseskin.launch.run.state import graph_description, graph_state
 from sparseskin.launch.run.waiting import late_at_end, waits_for
 
@@ -375,3 +378,173 @@ def test_nothing_is_waited_for_once_a_node_runs(stage):
     assert waits_for(compressor, played.launch) == line("no answer", "compressor")
     played.node("compressor").ready = True
     assert waits_for(played.node("compressor"), played.launch) == ""
+
+
+def test_a_node_is_configured_as_its_launch_file_states(stage):
+    played = stage("restart = 'never'")
+    fleet = Fleet(played.launch, 77, played.lines.append, max_frames=9)
+    played.fleet = fleet
+    fleet.spawn()
+    configs = {name: played.received(name)[0] for name in NAMES}
+    for name, config in configs.items():
+        assert config["type"] == name
+        assert config["settings"] == played.launch.nodes[name].values
+        assert config["folder"] == played.launch.folder
+        assert config["offset_ns"] == 77
+        assert config["max_frames"] == 9
+        assert config["public"] == ""
+        assert config["security"] is None
+    endpoints = {config["endpoint"] for config in configs.values()}
+    assert len(endpoints) == len(NAMES)
+    assert all(endpoint.startswith("ipc:///") for endpoint in endpoints)
+    pages = {config["page_file"] for config in configs.values()}
+    assert len(pages) == len(NAMES)
+
+
+def test_over_tcp_each_node_chooses_a_port_of_this_host(stage):
+    played = stage('transport = "tcp"')
+    played.fleet.spawn()
+    endpoints = [played.received(name)[0]["endpoint"] for name in NAMES]
+    assert endpoints == ["tcp://127.0.0.1:*"] * len(NAMES)
+
+
+def test_a_monitor_alone_asks_its_launcher(stage):
+    played = stage()
+    played.fleet.spawn()
+    controls = [played.received(name)[0]["control"] for name in NAMES]
+    assert controls == ["", "", "", control_path(os.getpid())]
+
+
+def test_the_note_of_a_graph_has_what_others_need_to_read_it(stage):
+    played = stage()
+    played.run()
+    note = played.fleet.note()
+    assert note.name == played.launch.name
+    assert note.pid == os.getpid()
+    assert note.launch == played.launch.text
+    assert list(note.nodes) == NAMES
+    sensor = note.nodes["sensor"]
+    assert sensor.type_name == "sensor"
+    assert sensor.endpoint == "ipc:///sensor"
+    assert sensor.outputs == list(played.launch.nodes["sensor"].outputs)
+    assert sensor.key == note.key_file == ""
+    assert {node.config["page_token"] for node in played.fleet} == {note.page_token}
+    assert len(note.page_token) > 20
+
+
+def test_topics_that_a_node_does_not_publish_are_not_in_the_note(stage):
+    played = stage()
+    played.fleet.spawn()
+    unused = ["/skin/truth"]
+    played.says("sensor", "bound", endpoint="ipc:///a", unused=unused)
+    played.fleet.serve()
+    outputs = played.fleet.note().nodes["sensor"].outputs
+    assert "/skin/truth" not in outputs
+    assert "/skin/taxels" in outputs
+
+
+def test_nodes_that_join_a_graph_read_its_topics_at_once(stage):
+    played = stage()
+    writer = RunningNode("sensor", "ipc:///theirs", ["/skin/skin", "/skin/taxels"])
+    joined = RunningGraph("other", 7, 0, "", {"sensor": writer})
+    nodes = {"compressor": played.launch.nodes["compressor"]}
+    launch = replace(played.launch, nodes=nodes)
+    fleet = Fleet(launch, 0, played.lines.append, joined=joined)
+    played.fleet = fleet
+    fleet.spawn()
+    (config,) = played.received("compressor")
+    assert config["late"] is True
+    fleet.connect(played.node("compressor"))
+    (command,) = played.received("compressor")
+    (peer,) = command["peers"]
+    assert peer["writer"] == "sensor"
+    assert peer["endpoint"] == "ipc:///theirs"
+
+
+def test_a_recorder_that_is_added_reads_the_topics_that_are_stated(stage):
+    played = stage()
+    played.run()
+    spec = replace(played.launch.nodes["monitor"], name="added")
+    played.fleet.add(spec, ["/skin/taxels", "/skin/measurements"])
+    (config,) = played.received("added")
+    assert config["inputs"] == ["/skin/taxels", "/skin/measurements"]
+    assert config["late"] is True
+    played.bound("added")
+    played.fleet.serve()
+    (command,) = played.received("added")
+    assert [peer["writer"] for peer in command["peers"]] == ["compressor", "sensor"]
+
+
+def test_writers_on_another_host_are_connected_once_a_node_is_ready(stage):
+    played = stage()
+    nodes = dict(played.launch.nodes)
+    sensor = replace(nodes.pop("sensor"), host="desk", public="tcp://desk:5000")
+    hosts = {name: Host("127.0.0.1") for name in ("edge", "desk")}
+    elsewhere = {"sensor": sensor}
+    part = {"nodes": nodes, "elsewhere": elsewhere, "hosts": hosts, "host": "edge"}
+    launch = replace(played.launch, **part)
+    fleet = Fleet(launch, 0, played.lines.append)
+    played.fleet = fleet
+    fleet.spawn()
+    (config,) = played.received("compressor")
+    assert config["distant_inputs"] == dict.fromkeys(config["inputs"], "desk")
+    played.bound("compressor")
+    fleet.serve()
+    fleet.connect(played.node("compressor"))
+    (command,) = played.received("compressor")
+    assert command["peers"] == []
+    played.says("compressor", "ready")
+    fleet.serve()
+    (command,) = played.received("compressor")
+    (peer,) = command["peers"]
+    assert peer["endpoint"] == "tcp://desk:5000"
+    assert peer["host"] == "desk"
+
+
+def test_a_node_that_is_added_to_a_graph_is_started(stage):
+    played = stage()
+    played.run()
+    spec = replace(played.launch.nodes["monitor"], name="added")
+    played.fleet.add(spec, ["/skin/taxels"])
+    played.received("added")
+    played.bound("added")
+    played.says("added", "ready")
+    played.fleet.serve()
+    assert played.commands("added") == ["connect", "start"]
+
+
+def test_what_a_dead_node_leaves_is_kept_by_its_name(stage):
+    played = stage()
+    played.run()
+    left = classmethod(lambda cls, settings: "a.part is left")
+    cls = type("Leaves", (played.node("sensor").spec.cls,), {"left_behind": left})
+    played.node("sensor").spec = replace(played.node("sensor").spec, cls=cls)
+    played.die("sensor")
+    assert played.fleet.left == {"sensor": ["a.part is left"]}
+
+
+def test_numbers_of_compiled_loops_are_known_while_a_node_starts(stage):
+    played = stage()
+    played.fleet.spawn()
+    assert played.node("sensor").compiled is None
+    played.says("sensor", "compiled", done=2, of=20)
+    played.fleet.serve()
+    assert played.node("sensor").compiled == (2, 20)
+
+
+def test_a_file_that_is_watched_is_handled_when_it_can_be_read(stage):
+    played = stage()
+    reader, writer = os.pipe()
+    handled = []
+    played.fleet.watch(reader, lambda: handled.append(os.read(reader, 9)))
+    played.fleet.serve()
+    assert handled == []
+    os.write(writer, b"a")
+    played.fleet.serve()
+    assert handled == [b"a"]
+    played.fleet.unwatch(reader)
+    os.write(writer, b"b")
+    played.fleet.serve()
+    assert handled == [b"a"]
+    os.close(reader)
+    os.close(writer)
