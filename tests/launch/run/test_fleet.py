@@ -358,6 +358,21 @@ def test_a_description_has_the_settings_of_the_node_that_is_asked_for(stage):
     assert described["nodes"][1]["transport"] == "ipc"
 
 
+def test_a_setting_that_is_not_stated_is_described_by_what_the_node_takes_for_it(stage):
+    played = stage()
+    played.run()
+    played.heartbeat("reconstructor", state={"depth": 1, "watch_rows": False})
+    played.fleet.serve()
+    described = graph_description(played.launch, played.fleet, None, "reconstructor")
+    settings = {entry["key"]: entry for entry in described["nodes"][2]["settings"]}
+    assert settings["depth"]["value"] is None
+    assert settings["depth"]["in_force"] == 1
+    # One that is stated is that of the settings, whatever the state has of this name.
+    assert settings["watch_rows"]["value"] is True
+    assert settings["watch_rows"]["in_force"] is True
+    assert settings["budget_ms"]["in_force"] is None
+
+
 def test_at_the_end_each_late_node_is_named_with_those_that_it_waits_for(stage):
     played = stage()
     played.run()
