@@ -13,6 +13,7 @@ from sparseskin.launch.run.fleet import EXIT_FAILED, EXIT_USAGE, GRACE_S, START_
 from sparseskin.launch.run.running import RunningGraph, RunningNode, control_path
 from sparseskin.launch.run.state import graph_description, graph_state
 from sparseskin.launch.run.waiting import late_at_end, waits_for
+from sparseskin.nodes.process.control import COUNTED
 
 RESTART = (
     'restart = "on-failure"\nrestart_delay_s = 2.0\nmax_restarts = 2\nhang_s = 10.0'
@@ -356,6 +357,16 @@ def test_a_description_has_the_settings_of_the_node_that_is_asked_for(stage):
     outputs = described["nodes"][1]["outputs"]
     assert {"topic": "/skin/measurements", "latched": False, "sent": 0} in outputs
     assert described["nodes"][1]["transport"] == "ipc"
+
+
+def test_a_node_that_has_reported_no_counts_is_described_with_none(stage):
+    played = stage()
+    played.run()
+    described = graph_description(played.launch, played.fleet, None, None)
+    compressor = described["nodes"][1]
+    assert compressor["refused"] == {}
+    counted = {"topic": "/skin/taxels", "latched": False}
+    assert counted | dict.fromkeys(COUNTED, 0) in compressor["inputs"]
 
 
 def test_a_setting_that_is_not_stated_is_described_by_what_the_node_takes_for_it(stage):

@@ -14,6 +14,7 @@ from sparseskin.launch.run.launcher import Launcher
 from sparseskin.launch.run.running import (
     GraphError,
     RunningGraph,
+    control_path,
     running_graphs,
     runtime_folder,
 )
@@ -131,6 +132,20 @@ def test_signals_are_handled_as_before_once_a_run_has_ended(run):
     begun(begun.binds, begun.is_ready, end)
     assert during == [begun.launcher._on_signal] * 3
     assert [signal.getsignal(number) for number in numbers] == before
+
+
+def test_nodes_are_ended_where_the_note_of_their_graph_cannot_be_removed(run):
+    begun = run()
+
+    def end():
+        (note,) = runtime_folder().glob("*.json")
+        note.unlink()
+        note.mkdir()
+        begun.ends()
+
+    assert begun(begun.binds, begun.is_ready, end) == 0
+    assert all(node.closed for node in begun.fleet)
+    assert not os.path.exists(control_path(os.getpid()))
 
 
 def test_a_node_that_refuses_its_settings_ends_the_start(run):
