@@ -182,7 +182,7 @@ class Patch:
                 warnings += check_phi(subset, solver.mask)
         for warning in dict.fromkeys(warnings):
             self.log(warning)
-        return solver, getattr(basis, "label", basis_name), options
+        return solver, basis_name, options
 
     def _fit(
         self, solver: Solver, phi: Phi, f_max: float, budget_ms: float, n_least: int
