@@ -561,13 +561,22 @@ def test_a_budget_for_few_iterations_is_warned_of(
     assert [line.split()[0] for line in warnings] == [f"{n_fitting}"] * is_warned
 
 
-def test_the_deviation_of_a_solver_without_an_error_is_that_of_its_residual():
-    bench = Bench(solver="fista", basis="haar", iterations=30, uncertainty=True)
+@pytest.mark.parametrize(
+    ("stated", "cls", "has_error"),
+    [
+        ({}, SkinSolver, True),
+        ({"solver": "fista", "basis": "haar", "iterations": 30}, FistaSolver, False),
+    ],
+)
+def test_deviations_are_those_of_the_error_or_else_of_the_residual(
+    stated, cls, has_error
+):
+    bench = Bench(uncertainty=True, **stated)
     for readings in FRAMES:
         solved = bench.frame(readings)
-    assert solved.error is None
-    uncertainty = Uncertainty(np.ones(SHAPE, np.bool_), 2.0, FistaSolver.calibrated)
-    expected = uncertainty.of(solved.forces, solved.residual, None)
+    assert (solved.error is not None) == has_error
+    uncertainty = Uncertainty(np.ones(SHAPE, np.bool_), 2.0, cls.calibrated)
+    expected = uncertainty.of(solved.forces, solved.residual, solved.error)
     np.testing.assert_allclose(solved.sd, expected, rtol=1e-6)
 
 
