@@ -7,13 +7,14 @@
 
 A mutant is a module with one expression changed, as mutmut changes it: an operator, a number, a
 condition, an argument left out. Two kinds are left out: texts, since a changed letter of a message
-is no fault, and None in place of a value, which mypy finds.
+is no fault, and what mypy refuses, for which no test is needed.
 
 For each mutant those quick tests of its area run that reach its statement, in any of their
 processes, up to the first that fails. Those of the module's name run first, then those of its
-folder, short ones before long ones, and as many as take `MOST_S`. The golden hashes are not among
-them: a hash says that something has changed, and not what is wrong. A mutant under which the tests
-take five times as long is caught.
+folder, short ones before long ones, and as many as take `MOST_S`. On a line outside functions, as a
+constant, all tests may run, those first that reach a statement which reads it. The golden hashes
+are not among them: a hash says that something has changed, and not what is wrong. A mutant under
+which the tests take five times as long is caught.
 
 A sample is the same as long as the code is, and changes little with it. The interval is that of
 Wilson for a share of which only a sample is known. Tests that were written for the survivors of one
@@ -33,13 +34,13 @@ import subprocess
 import sys
 import tempfile
 import tomllib
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
 
 from mutant_tests import Test, first_failure, record
-from mutation import Mutant, mutants_of, statement_of, with_marks
+from mutation import Mutant, mutants_of, statement_of, users_of, with_marks
 
 PER_AREA = 40
 WANTED_PERCENT = 85
@@ -114,10 +115,16 @@ class Score:
     n_equivalent: int = 0
     """Explained as a change of nothing that the program does."""
     n_survived: int = 0
+    n_refused: int = 0
+    """Refused by mypy, and therefore not of the sample."""
 
     @property
     def n_sample(self) -> int:
         return self.n_caught + self.n_survived
+
+    @property
+    def n_tried(self) -> int:
+        return self.n_sample + self.n_equivalent
 
     def __str__(self) -> str:
         low, high = interval(self.n_caught, self.n_sample)
@@ -125,7 +132,8 @@ class Score:
         return (
             f"{self.area}: {self.n_caught} of {self.n_sample} caught ({percent:.0f} %, "
             f"90 % interval {100 * low:.0f} to {100 * high:.0f}; {self.n_by_name} by tests of the "
-            f"module's name; {self.n_equivalent} change nothing; {self.n_mutants} mutants in all)"
+            f"module's name; {self.n_equivalent} change nothing; {self.n_refused} more refused by "
+            f"mypy; {self.n_mutants} mutants in all)"
         )
 
 
@@ -157,6 +165,8 @@ def main() -> int:
         with tempfile.TemporaryDirectory(prefix="mutants-") as folder:
             tree = Path(folder)
             _copy(tree)
+            if not _has_types(tree, [m for name in members for m in _modules(name)]):
+                raise SystemExit("mypy refuses the code without a mutant")
             tests = _recorded(tree, members, arguments.tests or paths)
             for name in members:
                 score = _score(
@@ -213,16 +223,32 @@ def _score(
     mutants = [mutant for module in codes for mutant in mutants_of(ROOT, module)]
     mutants.sort(key=lambda mutant: _lot(mutant, draw))
     score = Score(name, len(mutants))
-    for number, mutant in enumerate(mutants[:size], 1):
+    for number, mutant in enumerate(mutants, 1):
+        if score.n_tried == size:
+            break
         path = tree / mutant.module
         path.write_text(mutant.code)
         # Another second for each, by which Python knows that its bytecode is not current.
         os.utime(path, (number, number))
-        chosen = tests_of(mutant, codes[mutant.module], tests)
-        failed = first_failure(tree, chosen) if chosen else ""
-        _count(score, mutant, failed, explained, len(chosen))
+        if _has_types(tree, [mutant.module]):
+            chosen = tests_of(mutant, codes, tests)
+            failed = first_failure(tree, chosen) if chosen else ""
+            _count(score, mutant, failed, explained, len(chosen))
+        else:
+            score.n_refused += 1
         shutil.copy2(ROOT / mutant.module, path)
     return score
+
+
+def _has_types(tree: Path, modules: Sequence[str]) -> bool:
+    """True if mypy accepts some modules as they stand in the tree. Those that import them are left
+    out: for each mutant of `messages` they take a minute.
+    """
+    command = [sys.executable, "-m", "mypy"]
+    for module in modules:
+        path = module.removesuffix(".py").removesuffix("/__init__")
+        command += ["--module", f"sparseskin.{path.replace('/', '.')}"]
+    return not subprocess.run(command, cwd=tree, capture_output=True).returncode
 
 
 def _modules(area: str) -> list[str]:
@@ -254,6 +280,9 @@ def _copy(tree: Path) -> None:
         target.parent.mkdir(parents=True, exist_ok=True)
         # With its time, by which compiled loops know that they are current; links stay links.
         shutil.copy2(ROOT / name, target, follow_symlinks=False)
+    checked = ROOT / ".mypy_cache"
+    if checked.is_dir():
+        shutil.copytree(checked, tree / checked.name)
 
 
 def _count(
@@ -277,25 +306,23 @@ def _count(
     print(place, f"    - {mutant.old}", f"    + {mutant.new}", sep="\n", flush=True)
 
 
-def tests_of(mutant: Mutant, code: str, tests: list[Test]) -> list[Test]:
-    """Tests that reach the statement of a mutant, in the order in which they are tried."""
-    line = statement_of(code, mutant.line)
-    if line is None:  # outside functions: it runs when the module is imported
-        start = f"{mutant.module}:"
-        marks = {
-            mark for test in tests for mark in test.marks if mark.startswith(start)
-        }
+def tests_of(mutant: Mutant, codes: Mapping[str, str], tests: list[Test]) -> list[Test]:
+    """Tests that reach the statement of a mutant, in the order in which they are tried. Outside
+    functions all tests, those first that reach a statement which reads what is defined there.
+    `codes` are the texts of the modules of the area.
+    """
+    line = statement_of(codes[mutant.module], mutant.line)
+    if line is None:
+        marks = users_of(codes, mutant.module, mutant.line)
+        reaching = list(tests)
     else:
         marks = {f"{mutant.module}:{line}"}
-    reaching = [test for test in tests if test.marks & marks]
-    if line is None:
-        # A test of a default may run none of the module's functions.
-        named = [test for test in tests if _is_named(test.name, mutant.module)]
-        reaching += [test for test in named if test not in reaching]
+        reaching = [test for test in tests if test.marks & marks]
     folder = str(Path("tests") / Path(mutant.module).parent)
     reaching.sort(
         key=lambda test: (
             not _is_named(test.name, mutant.module),
+            not test.marks & marks,
             not test.name.startswith(folder),
             test.seconds,
         )

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ast
 import re
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from difflib import ndiff
 from itertools import accumulate
@@ -35,13 +36,13 @@ class Mutant:
 
 
 def mutants_of(root: Path, name: str) -> list[Mutant]:
-    """Mutants of a module, other than those of texts, those that mypy finds, and small ones."""
+    """Mutants of a module, other than those of texts, and small ones."""
     code = (root / name).read_text()
     module, mutations, _, _ = create_mutations(name, code)
     splice = _Splice(module, code)
     mutants = []
     for mutation in mutations:
-        if _is_found_by_types(mutation) or _is_small(mutation):
+        if _is_small(mutation):
             continue
         mutant = _mutant(name, code, splice.code_of(mutation))
         if _TEXT.sub("", mutant.old) != _TEXT.sub("", mutant.new):
@@ -92,21 +93,6 @@ def _mutant(module: str, code: str, changed: str) -> Mutant:
     return Mutant(module, changed, old, new, start + 1)
 
 
-def _is_found_by_types(mutation: Mutation) -> bool:
-    """True where None and a value change places: mypy refuses nearly all of these."""
-    old = mutation.original_node
-    new = mutation.mutated_node
-    if isinstance(new, libcst.Assign | libcst.AnnAssign):
-        assert isinstance(old, libcst.Assign | libcst.AnnAssign | libcst.AugAssign)
-        return _is_none(new.value) or _is_none(old.value)
-    if isinstance(new, libcst.Lambda):
-        return True
-    if isinstance(old, libcst.Call) and isinstance(new, libcst.Call):
-        n_none_before = sum(_is_none(argument.value) for argument in old.args)
-        return sum(_is_none(argument.value) for argument in new.args) > n_none_before
-    return False
-
-
 def _is_small(mutation: Mutation) -> bool:
     """True where a large number is changed by one."""
     old = mutation.original_node
@@ -115,18 +101,55 @@ def _is_small(mutation: Mutation) -> bool:
     )
 
 
-def _is_none(node: libcst.CSTNode | None) -> bool:
-    return isinstance(node, libcst.Name) and node.value == "None"
-
-
 def statement_of(code: str, line: int) -> int | None:
     """First line of the innermost statement of a function at a line; None outside functions."""
+    return _statement_at(_bodies(ast.parse(code)), line)
+
+
+def _statement_at(bodies: Sequence[Sequence[ast.stmt]], line: int) -> int | None:
     start = None
-    for body in _bodies(ast.parse(code)):
+    for body in bodies:
         for statement in body:
             if statement.lineno <= line <= (statement.end_lineno or 0):
                 start = max(start or 0, statement.lineno)
     return start
+
+
+def users_of(codes: Mapping[str, str], module: str, line: int) -> set[str]:
+    """`module:line` of the statements that read what a line outside functions defines: those of a
+    function whose head it is, and those of `codes`, texts by module, that name its variable.
+    """
+    marks: set[str] = set()
+    names: set[str] = set()
+    for node in ast.walk(ast.parse(codes[module])):
+        if not isinstance(node, ast.stmt):
+            continue
+        if not node.lineno <= line <= (node.end_lineno or 0):
+            continue
+        if isinstance(node, ast.FunctionDef):
+            marks |= {f"{module}:{statement.lineno}" for statement in node.body}
+        elif isinstance(node, ast.Assign):
+            names |= {_name(target) for target in node.targets}
+        elif isinstance(node, ast.AnnAssign):
+            names.add(_name(node.target))
+    names.discard("")
+
+    for path, code in codes.items():
+        tree = ast.parse(code)
+        bodies = _bodies(tree)
+        for node in ast.walk(tree):
+            if isinstance(node, ast.expr) and _name(node) in names:
+                marks.add(f"{path}:{_statement_at(bodies, node.lineno)}")
+    return marks
+
+
+def _name(node: ast.expr) -> str:
+    """Name of a variable or of an attribute; "" of any other expression."""
+    if isinstance(node, ast.Name):
+        return node.id
+    if isinstance(node, ast.Attribute):
+        return node.attr
+    return ""
 
 
 def with_marks(code: str, module: str) -> str:

@@ -1,13 +1,16 @@
 """Nodes whose processes are played by a test: what they are sent, and what they answer."""
 
+import contextlib
 import itertools
 import json
 import signal
 
 from sparseskin.launch.launchfile.load import load
+from sparseskin.launch.run import controls
 from sparseskin.launch.run import fleet as fleets
 from sparseskin.launch.run import launcher as launchers
 from sparseskin.launch.run import process as processes
+from sparseskin.launch.run.fleet import Fleet
 from sparseskin.launch.run.process import NodePipes, NodeProcess
 
 GRAPH = """
@@ -25,6 +28,29 @@ type = "monitor"
 page = false
 """
 NAMES = ["sensor", "compressor", "reconstructor", "monitor"]
+
+#: Wording of the launcher, in one place; the tests state which of these is logged, and when.
+SAYS = {
+    "died": "[launch] {} ended too early: {}",
+    "again": "[launch] {} is started again (restart {})",
+    "given up": " ({} restarts within {} s: given up)",
+    "silent": "[launch] {} {} been silent for {:g} s: SIGKILL",
+    "stubborn": "[launch] {} does not end: {}",
+    "error": "[{}] error: {}",
+    "of process": " (of the same process: {})",
+    "drain": "[launch] not drained after 5 s: {}",
+    "late": "{} (waits for {})",
+    "last": "{} (has not ended its stream)",
+    "imports": "{} has not started: it imports, compiles, or opens its device",
+    "start": "[launch] after 240 s: {}",
+    "errors": "[launch] {} raised {} errors (see its log)",
+    "gone": "[launch] {} was gone before its streams had ended: its last messages may be missing",
+    "no answer": "{} has not answered yet",
+}
+
+
+def line(kind, *words):
+    return SAYS[kind].format(*words)
 
 
 class PlayedProcess:
@@ -51,11 +77,11 @@ class PlayedProcess:
 
 
 class Stage:
-    """A graph of played nodes, under a clock that the test sets."""
+    """A graph of played nodes and its fleet, under a clock that the test sets."""
 
     def __init__(self, tmp_path, monkeypatch, graph="", step_s=0.0):
         monkeypatch.setenv("SPARSESKIN_RUNTIME_DIR", str(tmp_path / "graphs"))
-        for module in (fleets, processes, launchers):
+        for module in (fleets, processes, launchers, controls):
             monkeypatch.setattr(module, "awake_s", self._awake_s)
         monkeypatch.setattr(fleets, "POLL_S", 0.0)
         monkeypatch.setattr(fleets, "start_process", self._start)
@@ -69,6 +95,27 @@ class Stage:
         """Names of the nodes of each process that was started, in order."""
         self._ends = {}
         self._rest = {}
+        self.fleet = Fleet(self.launch, 0, self.lines.append)
+
+    def node(self, name):
+        return self.fleet.nodes[name]
+
+    def run(self, supervised=True):
+        """Start the graph, to where all nodes are ready."""
+        self.fleet.spawn()
+        for name in NAMES:
+            self.bound(name)
+        self.fleet.serve()
+        for name in NAMES:
+            self.says(name, "ready")
+        self.fleet.serve()
+        for name in NAMES:
+            self.received(name)
+        self.fleet.supervised = supervised
+
+    def die(self, name, code=3):
+        self.node(name).process.code = code
+        self.fleet.serve()
 
     def _awake_s(self):
         self.now_s += self.step_s
@@ -126,5 +173,37 @@ class Stage:
         self.says(name, "heartbeat", **silent | {"heard": {}, "clocks": {}} | fields)
 
     def close(self):
+        for node in self.fleet:
+            node.process.code = 0
+            node.close()
         for pipes in self._ends.values():
             pipes.close_of_node()
+
+
+class Screen:
+    """A terminal whose keys the test presses."""
+
+    def __init__(self):
+        self.lines = []
+        self.recorded = []
+        self.keys = []
+        self.shown = ""
+        self.keyboard_wanted = False
+
+    def log(self, line):
+        self.lines.append(line)
+
+    def record(self, line):
+        self.recorded.append(line)
+
+    def status(self, text):
+        self.shown = text
+
+    @contextlib.contextmanager
+    def keyboard(self, wanted):
+        self.keyboard_wanted = wanted
+        yield
+
+    def pressed(self):
+        keys, self.keys = self.keys, []
+        return keys

@@ -66,7 +66,7 @@ class Launcher:
             launch, offset_ns, terminal.log, max_frames, joined, terminal.record
         )
         self._controls: Controls | None = None
-        self._late = LateLog(self._late_lines, terminal.log)
+        self._late = LateLog(self._late_lines, terminal.log, awake_s)
         writers = {link.writer for link in launch.links}
         self._sinks = [name for name in launch.nodes if name not in writers]
         self._interrupts = 0

@@ -6,7 +6,7 @@ from sparseskin.launch.launchfile.spec import LaunchFile
 from sparseskin.nodes.graph import Link
 from sparseskin.nodes.node_host import is_latched
 
-from .process import NodeProcess, awake_s
+from .process import NodeProcess
 
 AFTER_S = 5.0
 """Time for which nodes are late before that is logged, seconds."""
@@ -85,7 +85,7 @@ class LateLog:
         self,
         lines: Callable[[], list[str]],
         log: Callable[[str], None],
-        now_s: Callable[[], float] = awake_s,
+        now_s: Callable[[], float],
     ) -> None:
         self._lines = lines
         self._log = log

@@ -182,7 +182,7 @@ class Patch:
                 warnings += check_phi(subset, solver.mask)
         for warning in dict.fromkeys(warnings):
             self.log(warning)
-        return solver, getattr(basis, "label", basis_name), options
+        return solver, basis_name, options
 
     def _fit(
         self, solver: Solver, phi: Phi, f_max: float, budget_ms: float, n_least: int
@@ -317,15 +317,14 @@ class Patch:
         else:
             assert self._last is not None
             verdict = self.faults.look(self.solver, self._phi, self._last)
-        forces = verdict.forces if self._last is None else self._last
-        fitted = measured(self.solver, forces, self._phi)
+        fitted = measured(self.solver, verdict.forces, self._phi)
         residuals = np.subtract(self._y, fitted, dtype=np.float64)
         energy = float(np.dot(residuals, residuals))
         residual = math.sqrt(energy / residuals.size)
 
         sd = None
         if self._uncertainty is not None:
-            sd = self._uncertainty.of(forces, residual, self._error)
+            sd = self._uncertainty.of(verdict.forces, residual, self._error)
             # Of a taxel without a reading nothing is known but the range.
             if self._missing is not None:
                 sd[self._missing] = self._f_max

@@ -158,6 +158,14 @@ def test_messages_are_immutable_and_compare_by_value():
     assert message != Truth(stamp_ns=7, patch="skin", forces=message.forces)
 
 
+@pytest.mark.parametrize("shape", [(3, 2), (1, 6), (6, 1)])
+def test_messages_of_the_same_numbers_in_another_shape_differ(shape):
+    message = taxels()
+    other = taxels(forces=message.forces[0].reshape(shape))
+    assert other.forces.tobytes() == message.forces.tobytes()
+    assert message != other
+
+
 @given(
     st.integers(0, 2**62), st.sampled_from([math.nan, math.inf, -math.inf]), st.data()
 )

@@ -1,87 +1,23 @@
 """The processes of a graph, which a test plays: joined, listened to, started again, ended."""
 
+import os
 import signal
 from dataclasses import replace
 
 import pytest
-from played import NAMES, Stage
+from played import NAMES, line
 
-from sparseskin.launch.run import launcher as launchers
+from sparseskin.launch.launchfile.hosts import Host
 from sparseskin.launch.run.controls import LiveRecording
 from sparseskin.launch.run.fleet import EXIT_FAILED, EXIT_USAGE, GRACE_S, START_S, Fleet
-from sparseskin.launch.run.launcher import Launcher
-from sparseskin.launch.run.running import RunningGraph
+from sparseskin.launch.run.running import RunningGraph, RunningNode, control_path
 from sparseskin.launch.run.state import graph_description, graph_state
 from sparseskin.launch.run.waiting import late_at_end, waits_for
+from sparseskin.nodes.process.control import COUNTED
 
 RESTART = (
     'restart = "on-failure"\nrestart_delay_s = 2.0\nmax_restarts = 2\nhang_s = 10.0'
 )
-
-
-#: Wording of the launcher, in one place; the tests state which of these is logged, and when.
-SAYS = {
-    "died": "[launch] {} ended too early: {}",
-    "again": "[launch] {} is started again (restart {})",
-    "given up": " ({} restarts within {} s: given up)",
-    "silent": "[launch] {} {} been silent for {:g} s: SIGKILL",
-    "stubborn": "[launch] {} does not end: {}",
-    "error": "[{}] error: {}",
-    "of process": " (of the same process: {})",
-    "drain": "[launch] not drained after 5 s: {}",
-    "late": "{} (waits for {})",
-    "last": "{} (has not ended its stream)",
-    "imports": "{} has not started: it imports, compiles, or opens its device",
-    "no answer": "{} has not answered yet",
-}
-
-
-def line(kind, *words):
-    return SAYS[kind].format(*words)
-
-
-class Played(Stage):
-    """A fleet of played nodes."""
-
-    def __init__(self, *args, **options):
-        super().__init__(*args, **options)
-        self.fleet = Fleet(self.launch, 0, self.lines.append)
-
-    def node(self, name):
-        return self.fleet.nodes[name]
-
-    def run(self, supervised=True):
-        """Start the graph, to where all nodes are ready."""
-        self.fleet.spawn()
-        for name in NAMES:
-            self.bound(name)
-        self.fleet.serve()
-        for name in NAMES:
-            self.says(name, "ready")
-        self.fleet.serve()
-        for name in NAMES:
-            self.received(name)
-        self.fleet.supervised = supervised
-
-    def die(self, name, code=3):
-        self.node(name).process.code = code
-        self.fleet.serve()
-
-
-@pytest.fixture
-def stage(tmp_path, monkeypatch):
-    stages = []
-
-    def make(graph="", **options):
-        stages.append(Played(tmp_path, monkeypatch, graph, **options))
-        return stages[-1]
-
-    yield make
-    for played in stages:
-        for node in played.fleet:
-            node.process.code = 0
-            node.close()
-        played.close()
 
 
 def test_each_node_is_started_with_what_it_reads_and_who_reads_it(stage):
@@ -423,6 +359,31 @@ def test_a_description_has_the_settings_of_the_node_that_is_asked_for(stage):
     assert described["nodes"][1]["transport"] == "ipc"
 
 
+def test_a_node_that_has_reported_no_counts_is_described_with_none(stage):
+    played = stage()
+    played.run()
+    described = graph_description(played.launch, played.fleet, None, None)
+    compressor = described["nodes"][1]
+    assert compressor["refused"] == {}
+    counted = {"topic": "/skin/taxels", "latched": False}
+    assert counted | dict.fromkeys(COUNTED, 0) in compressor["inputs"]
+
+
+def test_a_setting_that_is_not_stated_is_described_by_what_the_node_takes_for_it(stage):
+    played = stage()
+    played.run()
+    played.heartbeat("reconstructor", state={"depth": 1, "watch_rows": False})
+    played.fleet.serve()
+    described = graph_description(played.launch, played.fleet, None, "reconstructor")
+    settings = {entry["key"]: entry for entry in described["nodes"][2]["settings"]}
+    assert settings["depth"]["value"] is None
+    assert settings["depth"]["in_force"] == 1
+    # One that is stated is that of the settings, whatever the state has of this name.
+    assert settings["watch_rows"]["value"] is True
+    assert settings["watch_rows"]["in_force"] is True
+    assert settings["budget_ms"]["in_force"] is None
+
+
 def test_at_the_end_each_late_node_is_named_with_those_that_it_waits_for(stage):
     played = stage()
     played.run()
@@ -445,143 +406,171 @@ def test_nothing_is_waited_for_once_a_node_runs(stage):
     assert waits_for(played.node("compressor"), played.launch) == ""
 
 
-class Screen:
-    """A terminal whose keys the test presses."""
-
-    def __init__(self):
-        self.lines = []
-        self.recorded = []
-        self.keys = []
-        self.shown = ""
-
-    def log(self, line):
-        self.lines.append(line)
-
-    def record(self, line):
-        self.recorded.append(line)
-
-    def status(self, text):
-        self.shown = text
-
-    def pressed(self):
-        keys, self.keys = self.keys, []
-        return keys
+def test_a_node_is_configured_as_its_launch_file_states(stage):
+    played = stage("restart = 'never'")
+    fleet = Fleet(played.launch, 77, played.lines.append, max_frames=9)
+    played.fleet = fleet
+    fleet.spawn()
+    configs = {name: played.received(name)[0] for name in NAMES}
+    for name, config in configs.items():
+        assert config["type"] == name
+        assert config["settings"] == played.launch.nodes[name].values
+        assert config["folder"] == played.launch.folder
+        assert config["offset_ns"] == 77
+        assert config["max_frames"] == 9
+        assert config["public"] == ""
+        assert config["security"] is None
+    endpoints = {config["endpoint"] for config in configs.values()}
+    assert len(endpoints) == len(NAMES)
+    assert all(endpoint.startswith("ipc:///") for endpoint in endpoints)
+    pages = {config["page_file"] for config in configs.values()}
+    assert len(pages) == len(NAMES)
 
 
-@pytest.fixture
-def launcher(stage):
-    """A launcher of played nodes that run."""
+def test_over_tcp_each_node_chooses_a_port_of_this_host(stage):
+    played = stage('transport = "tcp"')
+    played.fleet.spawn()
+    endpoints = [played.received(name)[0]["endpoint"] for name in NAMES]
+    assert endpoints == ["tcp://127.0.0.1:*"] * len(NAMES)
+
+
+def test_a_monitor_alone_asks_its_launcher(stage):
     played = stage()
-    screen = Screen()
-    played.launcher = Launcher(played.launch, screen, keys={"p": ("sensor", "pause")})
-    played.screen = screen
-    played.fleet = played.launcher._fleet
+    played.fleet.spawn()
+    controls = [played.received(name)[0]["control"] for name in NAMES]
+    assert controls == ["", "", "", control_path(os.getpid())]
+
+
+def test_the_note_of_a_graph_has_what_others_need_to_read_it(stage):
+    played = stage()
     played.run()
-    return played
+    note = played.fleet.note()
+    assert note.name == played.launch.name
+    assert note.pid == os.getpid()
+    assert note.launch == played.launch.text
+    assert list(note.nodes) == NAMES
+    sensor = note.nodes["sensor"]
+    assert sensor.type_name == "sensor"
+    assert sensor.endpoint == "ipc:///sensor"
+    assert sensor.outputs == list(played.launch.nodes["sensor"].outputs)
+    assert sensor.key == note.key_file == ""
+    assert {node.config["page_token"] for node in played.fleet} == {note.page_token}
+    assert len(note.page_token) > 20
 
 
-def test_a_key_of_the_terminal_is_a_command_and_others_end_the_graph(launcher):
-    launcher.screen.keys = ["p", "x"]
-    launcher.launcher._serve()
-    assert launcher.commands("sensor") == ["pause"]
-    assert launcher.launcher._interrupts == 0
-    launcher.screen.keys = ["q"]
-    launcher.launcher._serve()
-    assert launcher.launcher._interrupts == 1
-    launcher.screen.keys = ["\x03"]
-    launcher.launcher._serve()
-    assert launcher.launcher._interrupts == 2
+def test_topics_that_a_node_does_not_publish_are_not_in_the_note(stage):
+    played = stage()
+    played.fleet.spawn()
+    unused = ["/skin/truth"]
+    played.says("sensor", "bound", endpoint="ipc:///a", unused=unused)
+    played.fleet.serve()
+    outputs = played.fleet.note().nodes["sensor"].outputs
+    assert "/skin/truth" not in outputs
+    assert "/skin/taxels" in outputs
 
 
-def test_the_trace_of_an_error_is_recorded_and_not_shown(launcher):
-    launcher.says("sensor", "raised", trace="Traceback\nValueError: no")
-    launcher.fleet.serve()
-    assert launcher.screen.recorded == ["[sensor] Traceback", "[sensor] ValueError: no"]
-    assert launcher.screen.lines == []
+def test_nodes_that_join_a_graph_read_its_topics_at_once(stage):
+    played = stage()
+    writer = RunningNode("sensor", "ipc:///theirs", ["/skin/skin", "/skin/taxels"])
+    joined = RunningGraph("other", 7, 0, "", {"sensor": writer})
+    nodes = {"compressor": played.launch.nodes["compressor"]}
+    launch = replace(played.launch, nodes=nodes)
+    fleet = Fleet(launch, 0, played.lines.append, joined=joined)
+    played.fleet = fleet
+    fleet.spawn()
+    (config,) = played.received("compressor")
+    assert config["late"] is True
+    fleet.connect(played.node("compressor"))
+    (command,) = played.received("compressor")
+    (peer,) = command["peers"]
+    assert peer["writer"] == "sensor"
+    assert peer["endpoint"] == "ipc:///theirs"
 
 
-def test_the_status_is_that_of_the_ends_of_the_graph(launcher):
-    for name in NAMES:
-        launcher.heartbeat(name, line=f"line of {name}")
-    launcher.launcher._serve()
-    assert launcher.screen.shown == "line of monitor"
+def test_a_recorder_that_is_added_reads_the_topics_that_are_stated(stage):
+    played = stage()
+    played.run()
+    spec = replace(played.launch.nodes["monitor"], name="added")
+    played.fleet.add(spec, ["/skin/taxels", "/skin/measurements"])
+    (config,) = played.received("added")
+    assert config["inputs"] == ["/skin/taxels", "/skin/measurements"]
+    assert config["late"] is True
+    played.bound("added")
+    played.fleet.serve()
+    (command,) = played.received("added")
+    assert [peer["writer"] for peer in command["peers"]] == ["compressor", "sensor"]
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
-def test_a_signal_is_the_exit_code_unless_a_node_has_failed(launcher, number):
-    launcher.launcher._on_signal(number, None)
-    assert launcher.launcher._exit_code == 128 + number
-    launcher.launcher._on_signal(signal.SIGINT, None)
-    assert launcher.launcher._exit_code == 128 + number
-    assert launcher.launcher._interrupts == 2
+def test_writers_on_another_host_are_connected_once_a_node_is_ready(stage):
+    played = stage()
+    nodes = dict(played.launch.nodes)
+    sensor = replace(nodes.pop("sensor"), host="desk", public="tcp://desk:5000")
+    hosts = {name: Host("127.0.0.1") for name in ("edge", "desk")}
+    elsewhere = {"sensor": sensor}
+    part = {"nodes": nodes, "elsewhere": elsewhere, "hosts": hosts, "host": "edge"}
+    launch = replace(played.launch, **part)
+    fleet = Fleet(launch, 0, played.lines.append)
+    played.fleet = fleet
+    fleet.spawn()
+    (config,) = played.received("compressor")
+    assert config["distant_inputs"] == dict.fromkeys(config["inputs"], "desk")
+    played.bound("compressor")
+    fleet.serve()
+    fleet.connect(played.node("compressor"))
+    (command,) = played.received("compressor")
+    assert command["peers"] == []
+    played.says("compressor", "ready")
+    fleet.serve()
+    (command,) = played.received("compressor")
+    (peer,) = command["peers"]
+    assert peer["endpoint"] == "tcp://desk:5000"
+    assert peer["host"] == "desk"
 
 
-def test_a_signal_after_a_failure_leaves_its_exit_code(launcher):
-    launcher.die("compressor")
-    launcher.launcher._on_signal(signal.SIGINT, None)
-    assert launcher.launcher._exit_code == EXIT_FAILED
+def test_a_node_that_is_added_to_a_graph_is_started(stage):
+    played = stage()
+    played.run()
+    spec = replace(played.launch.nodes["monitor"], name="added")
+    played.fleet.add(spec, ["/skin/taxels"])
+    played.received("added")
+    played.bound("added")
+    played.says("added", "ready")
+    played.fleet.serve()
+    assert played.commands("added") == ["connect", "start"]
 
 
-def test_nodes_end_once_the_graph_that_they_joined_is_gone(launcher, monkeypatch):
-    """It is looked for twice a second."""
-    runs = [True]
-    joined = RunningGraph("other", 7, 0, "", {})
-    launcher.launcher._joined = joined
-    monkeypatch.setattr(launchers, "is_running", lambda graph: runs[0])
-    launcher.launcher._serve()
-    assert launcher.launcher._interrupts == 0
-    runs[0] = False
-    launcher.now_s += 0.4
-    launcher.launcher._serve()
-    assert launcher.launcher._interrupts == 0
-    launcher.now_s += 0.2
-    launcher.launcher._serve()
-    assert launcher.launcher._interrupts == 1
-    launcher.now_s += 10.0
-    launcher.launcher._serve()
-    assert launcher.launcher._interrupts == 1
+def test_what_a_dead_node_leaves_is_kept_by_its_name(stage):
+    played = stage()
+    played.run()
+    left = classmethod(lambda cls, settings: "a.part is left")
+    cls = type("Leaves", (played.node("sensor").spec.cls,), {"left_behind": left})
+    played.node("sensor").spec = replace(played.node("sensor").spec, cls=cls)
+    played.die("sensor")
+    assert played.fleet.left == {"sensor": ["a.part is left"]}
 
 
-def test_a_graph_that_drains_stops_its_sources_and_names_who_is_late(launcher):
-    launcher.step_s = 0.5
-    launcher.launcher._drain()
-    for node in launcher.fleet:
-        assert node.process.signals == [signal.SIGINT]
-    (drained,) = launcher.screen.lines
-    assert drained.startswith(line("drain", line("last", "sensor")))
+def test_numbers_of_compiled_loops_are_known_while_a_node_starts(stage):
+    played = stage()
+    played.fleet.spawn()
+    assert played.node("sensor").compiled is None
+    played.says("sensor", "compiled", done=2, of=20)
+    played.fleet.serve()
+    assert played.node("sensor").compiled == (2, 20)
 
 
-def test_one_who_interrupts_a_drain_is_told_nothing_more(launcher):
-    launcher.launcher._interrupts = 2
-    launcher.launcher._drain()
-    assert launcher.screen.lines == []
-
-
-def test_nodes_behind_one_that_is_dead_need_not_drain(launcher):
-    assert not launcher.launcher._all_drained()
-    launcher.node("sensor").ended = True
-    launcher.node("compressor").process.code = -9
-    assert launcher.launcher._all_drained()
-
-
-def test_a_summary_after_a_restart_has_what_each_node_reports(launcher):
-    launcher.says(
-        "monitor", "ended", counts={"refused": {}}, report={"n": 7}, clocks={}
-    )
-    launcher.fleet.serve()
-    launcher.fleet.restarts["sensor"].total = 2
-    summary = launcher.launcher.summary()
-    assert summary["nodes"]["monitor"]["n"] == 7
-    assert summary["nodes"]["sensor"]["restarts"] == 2
-
-
-def test_a_summary_has_what_each_node_reports_and_counts(launcher):
-    launcher.says(
-        "monitor", "ended", counts={"refused": {}}, report={"n": 7}, clocks={}
-    )
-    launcher.fleet.serve()
-    summary = launcher.launcher.summary()
-    assert summary["nodes"]["monitor"]["n"] == 7
-    assert summary["nodes"]["monitor"]["type"] == "monitor"
-    assert summary["nodes"]["monitor"]["restarts"] == 0
-    assert summary["launch"] == launcher.launch.name
+def test_a_file_that_is_watched_is_handled_when_it_can_be_read(stage):
+    played = stage()
+    reader, writer = os.pipe()
+    handled = []
+    played.fleet.watch(reader, lambda: handled.append(os.read(reader, 9)))
+    played.fleet.serve()
+    assert handled == []
+    os.write(writer, b"a")
+    played.fleet.serve()
+    assert handled == [b"a"]
+    played.fleet.unwatch(reader)
+    os.write(writer, b"b")
+    played.fleet.serve()
+    assert handled == [b"a"]
+    os.close(reader)
+    os.close(writer)

@@ -1,8 +1,10 @@
 """What the launcher reads of a node: in bounded parts, so that a flood makes it deaf to nothing."""
 
 import contextlib
+import json
 import os
 import signal
+import sys
 from itertools import pairwise
 from pathlib import Path
 
@@ -22,8 +24,10 @@ from sparseskin.launch.run.process import (
     NodePipes,
     _added,
     exit_text,
+    start_process,
 )
 from sparseskin.launch.run.running import GraphError, choose_graph
+from sparseskin.nodes.errors import SparseskinError
 
 FLOODING = """
 import itertools, os, threading, time
@@ -103,6 +107,78 @@ def test_a_node_that_logs_nothing_holds_up_nobody():
         pipes.close_of_node()
         pipes.channel.close()
         pipes.log.close()
+
+
+@pytest.fixture
+def started(tmp_path, monkeypatch):
+    """Nodes of one process, which runs a shell script in place of Python, and its log."""
+    nodes = []
+
+    def start(script, *names):
+        program = tmp_path / "program"
+        program.write_text(f"#!/bin/sh\n{script}\n")
+        program.chmod(0o700)
+        monkeypatch.setattr(sys, "executable", str(program))
+        specs = load("path_40").nodes
+        nodes.extend(start_process([(specs[name], {"name": name}) for name in names]))
+        nodes[0].process.wait()
+        _, lines = nodes[0].read()
+        return nodes, lines
+
+    yield start
+    for node in nodes:
+        node.close()
+
+
+def test_a_node_has_a_session_of_its_own(started):
+    """So that Ctrl-C in a terminal is a signal for its launcher alone."""
+    (node,), (line,) = started("exec cat /proc/self/stat", "sensor")
+    *_, session = line.rpartition(")")[2].split()[:4]
+    assert int(session) == node.pid
+
+
+def test_all_that_a_node_prints_is_its_log(started):
+    _, lines = started("echo one; echo two >&2", "sensor")
+    assert lines == ["one", "two"]
+
+
+@pytest.mark.parametrize(("stated", "threads"), [(None, "1"), ("3", "3")])
+def test_a_node_has_one_thread_where_the_environment_states_no_number(
+    started, monkeypatch, stated, threads
+):
+    for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
+        monkeypatch.delenv(name, raising=False)
+        if stated:
+            monkeypatch.setenv(name, stated)
+    _, lines = started("echo $OMP_NUM_THREADS $OPENBLAS_NUM_THREADS", "sensor")
+    assert lines == [f"{threads} {threads}"]
+
+
+def test_a_process_has_the_channels_and_counters_of_all_its_nodes(started):
+    names = ("sensor", "compressor")
+    nodes, (stated, *descriptors) = started("head -n 1; ls /proc/self/fd", *names)
+    config = json.loads(stated)
+    assert config["name"] == "sensor"
+    assert config["companions"] == ["compressor"]
+    (of_compressor,) = config["channels"]
+    passed = {*of_compressor, *(node._tally.fd for node in nodes)}
+    assert passed <= set(map(int, descriptors))
+
+
+def test_a_process_has_the_end_of_no_pipe_that_it_shall_see_end(started):
+    """Where the launcher had the end of a node, too, it would not see its end."""
+    (node,), _ = started("exit 3", "sensor")
+    node.read()
+    assert node.exit_code() == 3
+    assert node.closed_pipes == set(node.pipes)
+
+
+def test_a_process_that_cannot_be_started_names_its_nodes(monkeypatch, tmp_path):
+    monkeypatch.setattr(sys, "executable", str(tmp_path / "none"))
+    specs = load("path_40").nodes
+    nodes = [(specs[name], {}) for name in ("sensor", "compressor")]
+    with pytest.raises(SparseskinError, match=r"^sensor, compressor: "):
+        start_process(nodes)
 
 
 COUNTERS = st.dictionaries(st.sampled_from("abc"), st.integers(0, 99))

@@ -394,3 +394,18 @@ def test_the_error_of_a_missing_key_names_the_command_that_makes_it(tmp_path):
         KeyFileError, match=r"edge.key: No such file.*sparseskin keys make edge"
     ):
         read_key_pair(tmp_path / "edge.key")
+
+
+def test_the_oldest_of_too_many_connections_that_read_nothing_is_closed(
+    station, monkeypatch
+):
+    monkeypatch.setattr(gate_module, "MAX_PENDING", 3)
+    # Numbers of no open descriptor.
+    first, *others, last = range(2**30, 2**30 + 4)
+    for fd in (first, *others):
+        station.gate._note(zmq.EVENT_ACCEPTED, fd)
+    assert list(station.gate._pending) == [first, *others]
+    assert station.lines == []
+    station.gate._note(zmq.EVENT_ACCEPTED, last)
+    assert list(station.gate._pending) == [*others, last]
+    assert len(station.lines) == 1

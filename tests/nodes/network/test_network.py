@@ -386,3 +386,111 @@ def test_an_answer_to_another_writer_is_none_to_this_one(context):
     wait_until(right_has_it, "its answer")
     assert left.awaits(ask)
     assert not left.has_answered("desk", ask)
+
+
+def test_the_end_is_asked_for_again_where_a_reader_has_come_since(context):
+    config = {"endpoint": "inproc://end", "distant_readers": ["desk"]}
+    node, lines = network(context, **config)
+    assert not node.end_received()
+    reader = Reader(context, "desk", [node.writer.endpoint], [HERE])
+    wait_for_reader(node.writer, "desk")
+    node.end_repeated()
+
+    def answered():
+        if (parts := reader.receive()) is not None:
+            reader.answer(bytes(parts[1]))
+        node.writer.serve_subscriptions()
+        return node.end_received()
+
+    wait_until(answered, "its answer")
+    assert lines == []
+
+
+def test_of_a_stream_that_has_not_ended_nothing_is_asked(context):
+    node, _ = network(context, endpoint="inproc://end", distant_readers=["desk"])
+    node.end_repeated()
+    assert node.writer.ask() == 1
+
+
+def test_a_writer_that_refused_is_asked_again_when_its_time_has_come(context):
+    """Whichever others still wait for theirs."""
+    config = {"distant_inputs": {LEFT: "edge", RIGHT: "edge"}}
+    node, _ = network(context, **config)
+    node.make_reader([LEFT, RIGHT])
+    names = ("left", "right")
+    writers = {name: Writer(context, f"inproc://{name}", name) for name in names}
+    node.connect([Peer(name, writers[name].endpoint, "edge") for name in names])
+    later_ns = time.monotonic_ns() + 10**15
+    node._retry_ns = {"inproc://left": later_ns, "inproc://right": 0}
+    node.serve()
+    assert node._retry_ns == {"inproc://left": later_ns}
+
+
+def test_who_comes_after_an_ask_is_not_waited_for(pair):
+    early = pair.reader(TAXELS, name="early")
+    ask = pair.writer.ask()
+    _late = pair.reader(TAXELS, name="late")
+    assert pair.writer.awaits(ask)
+    _, note = pair.next_messages(early)[0]
+    early.answer(bytes(note))
+
+    def has_answered():
+        pair.writer.serve_subscriptions()
+        return not pair.writer.awaits(ask)
+
+    wait_until(has_answered, "the answer")
+
+
+def test_who_observes_is_not_asked(pair, context):
+    endpoints = [pair.writer.endpoint]
+    _observer = Reader(context, "page", endpoints, [TAXELS], observes=True)
+    wait_for_reader(pair.writer, "page")
+    assert not pair.writer.awaits(pair.writer.ask())
+
+
+class Subscriber:
+    """Subscriptions to a writer, one by one, and what it logs of them."""
+
+    def __init__(self, context):
+        self.lines = []
+        self.writer = Writer(context, "inproc://writer", log=self.lines.append)
+        self.socket = context.socket(zmq.SUB)
+        self.socket.connect(self.writer.endpoint)
+
+    def joins(self, topic):
+        self.socket.subscribe(topic)
+
+        def has_come():
+            self.writer.serve_subscriptions()
+            return topic in self.writer._prefixes
+
+        wait_until(has_come, "the subscription")
+
+
+def test_more_subscriptions_than_a_reader_needs_are_logged_once(context, monkeypatch):
+    monkeypatch.setattr(sockets, "MAX_SUBSCRIPTIONS", 3)
+    subscriber = Subscriber(context)
+    for topic in (b"/a", b"/b", b"/c"):
+        subscriber.joins(topic)
+    assert subscriber.lines == []
+    for _ in range(2):
+        subscriber.socket.subscribe(b"/a")
+
+    def is_logged():
+        subscriber.writer.serve_subscriptions()
+        return bool(subscriber.lines)
+
+    wait_until(is_logged, "a line")
+    assert len(subscriber.lines) == 1
+
+
+def test_subscriptions_that_have_ended_do_not_count(context, monkeypatch):
+    monkeypatch.setattr(sockets, "MAX_SUBSCRIPTIONS", 3)
+    subscriber = Subscriber(context)
+    subscriber.joins(b"/a")
+    subscriber.joins(b"/b")
+    subscriber.socket.unsubscribe(b"/a")
+    subscriber.socket.unsubscribe(b"/b")
+    subscriber.joins(b"/c")
+    assert subscriber.lines == []
+    assert subscriber.writer._n_subscriptions == 1

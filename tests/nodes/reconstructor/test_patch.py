@@ -12,9 +12,12 @@ from sparseskin.messages import Reason
 from sparseskin.nodes.compressor.phi.base import make_phi
 from sparseskin.nodes.compressor.phi.rotation import row_subsets
 from sparseskin.nodes.reconstructor import patch as patches
+from sparseskin.nodes.reconstructor.estimates.uncertainty import Uncertainty
 from sparseskin.nodes.reconstructor.limits import OTHER_ROWS
 from sparseskin.nodes.reconstructor.patch import Patch
 from sparseskin.nodes.reconstructor.settings import ReconstructorSettings
+from sparseskin.nodes.reconstructor.skin.solver import SkinSolver
+from sparseskin.nodes.reconstructor.solvers.fista import FistaSolver
 from sparseskin.nodes.sensor.noise import NoiseModel
 
 SIDE = 16
@@ -84,6 +87,18 @@ def test_the_residual_is_the_root_mean_square_of_what_the_forces_do_not_explain(
     assert solved.residual == pytest.approx(
         np.sqrt(np.mean(np.square(unexplained))), rel=1e-4
     )
+
+
+def test_the_residual_is_that_of_the_forces_that_are_stated():
+    """Of a press at the end of the range, where the forces are cut to it."""
+    bench = Bench(skin={"f_max": 0.6})
+    for readings in FRAMES:
+        solved = bench.frame(readings)
+    assert solved.forces.max() == np.float32(0.6)
+    y = PHI.forward(FRAMES[-1].reshape(-1))
+    unexplained = y - PHI.forward(solved.forces.reshape(-1))
+    rms = np.sqrt(np.mean(np.square(unexplained)))
+    assert solved.residual == pytest.approx(rms, rel=1e-4)
 
 
 def test_of_missing_taxels_nothing_is_known():
@@ -246,6 +261,14 @@ def test_the_first_frame_that_holds_nothing_is_of_zeros():
     assert solved.residual == pytest.approx(0.3)
 
 
+def test_the_residual_of_the_largest_measurements_is_a_number():
+    """Their squares are beyond float32."""
+    bench = Bench(solver="fista", basis="haar")
+    bench.patch.read(PHI, np.full(PHI.m, 1e29, dtype=np.float32))
+    bench.patch.solve()
+    assert bench.patch.check().residual == pytest.approx(1e29)
+
+
 def test_faults_are_logged_and_measured_by_the_noise_and_range_of_the_skin():
     bench = Bench()
     for _ in range(6):
@@ -345,6 +368,13 @@ def test_a_patch_of_the_same_skin_has_the_steps_of_the_first(monkeypatch):
     assert second.frame(FRAMES[5]).iterations == 7
 
 
+def test_patches_of_the_same_skin_share_the_tables_of_touches_and_not_the_touches():
+    first = Bench(contacts=True)
+    second = Bench(contacts=True, alike=first.patch)
+    assert second.patch._touch.test is first.patch._touch.test
+    assert second.patch._touch is not first.patch._touch
+
+
 def test_what_is_stated_of_a_solver_is_what_it_uses():
     bench = Bench(solver="fista", basis="haar", iterations=20, lambda_n=0.004)
     assert bench.stated["basis"] == "haar"
@@ -407,6 +437,22 @@ def test_a_warning_is_logged_once():
     bench = Bench(solver="fista", basis="haar", iterations=5)
     (line,) = (line for line in bench.lines if line.startswith("iterations"))
     assert "fista takes several frames" in line
+
+
+@pytest.mark.parametrize(
+    ("kind", "stated", "is_warned"),
+    [
+        ("subsample", {}, True),
+        ("sbhe", {}, False),
+        ("subsample", {"solver": "fista", "basis": "haar"}, False),
+    ],
+)
+def test_the_default_solver_is_advised_against_where_single_taxels_are_read(
+    kind, stated, is_warned
+):
+    phi = make_phi(kind, SIDE**2, SIDE**2 // 2, seed=0)
+    lines = Bench(phi=phi, **stated).lines
+    assert (SkinSolver.warning_of_samples in lines) == is_warned
 
 
 def test_another_solver_in_the_middle_of_a_stream_begins_with_the_last_forces():
@@ -481,3 +527,130 @@ def test_what_counts_as_a_contact_may_be_changed():
     bench.frame(FRAMES[-1])
     followed = bench.patch.contacts(10**9)
     assert len(followed.fields["id"]) == 0
+
+
+def test_a_patch_of_the_same_skin_has_as_many_tiles_a_frame_as_the_first(monkeypatch):
+    def steps(solver, *_):
+        solver.use_times(300, 7)
+        return solver.n_steps, 0.0021234
+
+    monkeypatch.setattr(patches, "steps_within", steps)
+    first = Bench(budget_ms=2.5)
+    second = Bench(budget_ms=2.5, alike=first.patch)
+    assert first.stated["frame_ms"] == 2.123
+    for stated in (first.stated, second.stated):
+        assert stated["frame_tiles"] == 300
+        assert stated["step_tiles"] == 7
+    assert first.patch.solver.times == second.patch.solver.times == (300, 7)
+
+
+@pytest.mark.parametrize(
+    ("n_steps", "n_fitting", "is_warned"),
+    [(60, 7, True), (60, 40, False), (3, 3, False), (3, 2, True)],
+)
+def test_a_budget_for_few_iterations_is_warned_of(
+    monkeypatch, n_steps, n_fitting, is_warned
+):
+    """Of fewer than the solver needs, or than are stated where these are fewer."""
+    least = FistaSolver.least_iterations
+    assert 7 < least <= 40
+    monkeypatch.setattr(patches, "steps_within", lambda *_: (n_fitting, 0.001))
+    stated = {"solver": "fista", "basis": "haar", "options": {"iterations": n_steps}}
+    lines = Bench(budget_ms=2.5, **stated).lines
+    warnings = [line for line in lines if "budget of 2.5 ms" in line]
+    assert [line.split()[0] for line in warnings] == [f"{n_fitting}"] * is_warned
+
+
+@pytest.mark.parametrize(
+    ("stated", "cls", "has_error"),
+    [
+        ({}, SkinSolver, True),
+        ({"solver": "fista", "basis": "haar", "iterations": 30}, FistaSolver, False),
+    ],
+)
+def test_deviations_are_those_of_the_error_or_else_of_the_residual(
+    stated, cls, has_error
+):
+    bench = Bench(uncertainty=True, **stated)
+    for readings in FRAMES:
+        solved = bench.frame(readings)
+    assert (solved.error is not None) == has_error
+    uncertainty = Uncertainty(np.ones(SHAPE, np.bool_), 2.0, cls.calibrated)
+    expected = uncertainty.of(solved.forces, solved.residual, solved.error)
+    np.testing.assert_allclose(solved.sd, expected, rtol=1e-6)
+
+
+def test_a_skin_of_another_grid_begins_without_the_last_forces():
+    bench = Bench(solver="fista", basis="haar", iterations=3)
+    for readings in FRAMES:
+        bench.frame(readings)
+    shape = (8, 16)
+    phi = make_phi("sbhe", 128, 64, seed=0)
+    settings = ReconstructorSettings(
+        solver="fista", basis="haar", iterations=3, fast="off"
+    )
+    state = skin_state(**SKIN | {"n_rows": 8})
+    fresh = Patch(settings, lambda line: None)
+    readings = noisy(sliding_disc(shape, 9, touch_at=3))[-1]
+    forces = []
+    for patch in (bench.patch, fresh):
+        patch.set_up(settings, [phi], state, live=False)
+        patch.read(phi, phi.forward(readings.reshape(-1)))
+        patch.solve()
+        forces.append(patch.check().forces)
+    np.testing.assert_array_equal(*forces)
+
+
+def test_contacts_of_a_skin_of_another_grid_are_new_ones():
+    bench = Bench(contacts=True)
+    for k, readings in enumerate(FRAMES):
+        bench.frame(readings)
+        bench.patch.contacts(10_000_000 * k)
+    phi = make_phi("sbhe", 128, 64, seed=0)
+    settings = ReconstructorSettings(fast="off", contacts=True)
+    state = skin_state(**SKIN | {"n_rows": 8})
+    bench.patch.set_up(settings, [phi], state, live=False)
+    bench.patch.set_noise(state)
+    for k, readings in enumerate(noisy(sliding_disc((8, 16), 20, touch_at=5))):
+        bench.patch.read(phi, phi.forward(readings.reshape(-1)))
+        bench.patch.solve()
+        bench.patch.check()
+        followed = bench.patch.contacts(10**9 + 10_000_000 * k)
+    assert followed.fields["id"].tolist() == [1]
+
+
+@pytest.mark.parametrize(("sigma_end", "is_watched"), [(0.02, True), (0.0, False)])
+def test_touches_are_known_where_the_noise_is_stated(sigma_end, is_watched):
+    skin = {"sigma_mid": sigma_end, "sigma_end": sigma_end}
+    bench = Bench(contacts=True, skin=skin)
+    assert (bench.patch._touch is not None) == is_watched
+
+
+@pytest.mark.parametrize(("sigma", "n_contacts"), [(NOISE.sigma_end, 1), (2.0, 0)])
+def test_contacts_stand_out_of_the_noise_that_the_skin_states_last(sigma, n_contacts):
+    bench = Bench(contacts=True)
+    state = skin_state(**SKIN | {"sigma_mid": sigma, "sigma_end": sigma})
+    bench.patch.set_noise(state)
+    for k, readings in enumerate(FRAMES):
+        bench.frame(readings)
+        followed = bench.patch.contacts(10_000_000 * k)
+    ids = [] if followed is None else followed.fields["id"]
+    assert len(ids) == n_contacts
+
+
+@pytest.mark.parametrize("repeated", ["keep", "rest"])
+def test_a_touch_begins_in_one_frame_alone(repeated):
+    bench = Bench(contacts=True)
+    begun = []
+    for readings in FRAMES:
+        bench.frame(readings)
+        begun.append(bench.patch._touch.touch.begins)
+        if begun[-1]:
+            break
+    assert begun[-1]
+    if repeated == "keep":
+        bench.patch.keep(bench.phi(), bench.phi().forward(FRAMES[4].reshape(-1)))
+    else:
+        bench.patch.rest()
+    assert bench.patch._touch.touch.begins is False
+    assert bench.patch._touch.touch.touched is True
