@@ -198,8 +198,10 @@ class BagWriter(AbstractContextManager["BagWriter"]):
                 fault = f"{name} {time_ns} is outside 0..2**63 - 1"
                 raise BagError(f"{self.path}: {topic}: {fault}")
 
+        info = self._topics.get(topic)
+        if info is None:
+            info = self._topics[topic] = TopicInfo(schema, version)
         # 32 bits in the file.
-        info = self._topics.setdefault(topic, TopicInfo(schema, version))
         sequence = info.n_messages & 0xFFFFFFFF
         self._mcap.add_message(channel, log_time_ns, payload, stamp_ns, sequence)
         info.add(schema, version, stamp_ns, log_time_ns)
