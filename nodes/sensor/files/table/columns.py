@@ -22,7 +22,10 @@ from sparseskin.nodes.sensor.layout.names import (
 )
 from sparseskin.nodes.sensor.layout.times import (
     CLOCK_UNIT,
+    FEW_RISING,
     ISO,
+    RISING,
+    SAME_STEPS,
     are_likely,
     clock_ns,
     dated_clock_ns,
@@ -30,6 +33,8 @@ from sparseskin.nodes.sensor.layout.times import (
     is_time_name,
     iso_ns,
     named_unit,
+    rise,
+    which_times,
 )
 
 from .sample import (
@@ -42,14 +47,9 @@ from .sample import (
 )
 from .text import Dialect
 
-RISING_LINES = 8
-"""Least lines in which times rise; chosen: eight readings without a trend rise once in 40,000."""
-EVEN_LINES = 4
-SAME_STEPS = 1.001
-"""Least lines, and ratio of their steps, in which a column that nothing names looks like times."""
 MAX_UNEVEN = 5.0
-"""The same of a column at an end, where the shape shows that one is no taxel; chosen: a frame may
-be late."""
+"""Largest ratio of the steps of times in a few lines, of a column at an end, where the shape shows
+that one is no taxel; chosen: a frame may be late."""
 SOURCE_WORDS = (
     *("side", "hand", "foot", "finger", "sensor", "sensor_id", "sensor_name", "device"),
     *("device_id", "skin", "patch", "mat", "board", "module"),
@@ -186,14 +186,14 @@ def _time_at_an_end(head: TableHead) -> int | None:
     and is the only one of the two that rises.
     """
     is_one_more = len(head.numeric) - 1 == head.layout.n_stated
-    if head.header or head.layout.columns or not is_one_more or len(head.data) < 2:
+    if head.headers or head.layout.columns or not is_one_more or len(head.data) < 2:
         return None
     rising = {}
     for word, k in _ends(head).items():
-        if _rises(head.numbers(k)):
+        if rise(head.numbers(k)):
             rising[word] = k
     # In a few lines a reading may rise, too, but not in even steps.
-    are_clear = all(_rises(head.numbers(k), MAX_UNEVEN) for k in rising.values())
+    are_clear = all(rise(head.numbers(k), MAX_UNEVEN) for k in rising.values())
     if len(rising) > 1 or not are_clear:
         verb = "rise" if len(rising) > 1 else "rises"
         fault = f"{head.name}: the {' and the '.join(rising)} column {verb}"
@@ -206,16 +206,6 @@ def _time_at_an_end(head: TableHead) -> int | None:
     return None
 
 
-def _rises(numbers: npt.NDArray[np.float64], max_uneven: float = np.inf) -> bool:
-    """True if numbers rise in all lines; of a few lines, in steps of about one size."""
-    steps = np.diff(numbers)
-    if not ((steps >= 0).all() and (steps > 0).any()):
-        return False
-    if len(numbers) >= RISING_LINES or np.isinf(max_uneven):
-        return True
-    return len(steps) > 1 and bool(steps.max() <= max_uneven * steps.min())
-
-
 def _ends(head: TableHead) -> dict[str, int]:
     """The first and the last column of numbers, as `time` states them."""
     return {"first": head.numeric[0], "last": head.numeric[-1]}
@@ -226,28 +216,21 @@ def _ask_for_times(head: TableHead) -> None:
 
     A column whose name has a number, or that is stated, is a taxel; one that rises by 1 counts.
     """
-    n_least = EVEN_LINES if any(head.names) else RISING_LINES
+    n_least = FEW_RISING if any(head.names) else RISING
     if len(head.data) < n_least:
         return
     taxels = stated_columns(head.layout.columns, head.names, head.width, head.name)
     rising = []
     for k in head.numeric:
         is_named = head.is_indexed(k) or head.names[k].lower() in FRAME_WORDS
-        numbers = head.numbers(k)
-        if k in taxels or is_named or not _rises(numbers, SAME_STEPS):
-            continue
-        if are_likely(numbers):
+        if k not in taxels and not is_named and are_likely(head.numbers(k), SAME_STEPS):
             rising.append(k)
     # Where all columns rise, it is the load that does.
     if not rising or len(rising) == len(head.numeric):
         return
     columns = "column rises" if len(rising) == 1 else "columns rise"
     fault = f"{head.name}: {len(rising)} {columns} in all lines"
-    keys = _keys(head, rising)
-    if len(head.data) < RISING_LINES:
-        raise UnstatedError.between(fault, "time", [*keys, "none"])
-    otherwise = "time=none, if these are no times"
-    raise UnstatedError.between(fault, "time", keys, otherwise)
+    raise which_times(fault, _keys(head, rising), len(head.data))
 
 
 def _keys(head: TableHead, columns: Sequence[int]) -> list[str]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import NamedTuple
@@ -32,6 +33,11 @@ TAXEL_WORDS = (
     "variable",
 )
 """Names of columns that state which taxel a line is of."""
+SUMMARY = re.compile(
+    r"mean|average|avg|median|max(?:imum)?|min(?:imum)?|sum|total|count|peak|var(?:iance)?|rms"
+    r"|std(?:\.? ?dev)?|s\.?d|standard deviation|\d\d?%"
+)
+"""Words in small letters that name lines below a table which sum it up."""
 LINES = "lines"
 GRID = "grid"
 LONG = "long"
@@ -82,7 +88,8 @@ class TableHead:
     n_before: int = 0  # lines before the first one of data
     has_trailing: bool = False  # a separator ends each line
     is_labelled: bool = False  # the names are positions: a line of 1, 2, 3, ...
-    header: str = ""  # the line of the names
+    headers: tuple[str, ...] = ()  # the lines of the names
+    has_summary: bool = False  # lines below the data may sum them up
     units: str = ""  # the line of units
     names: Sequence[str] = ()
     usable: tuple[int, ...] = ()  # columns of numbers that are no times
@@ -118,6 +125,16 @@ class TableHead:
     def has_width(self, cells: Sequence[str]) -> bool:
         """True if a line has as many cells as those of data."""
         return len(cells) in (self.width, self.width + self.has_trailing)
+
+    def summary_of(self, cells: Sequence[str]) -> str | None:
+        """The word by which a line sums up those above it, "" if its cells are empty; None of
+        others.
+        """
+        for cell in (cells[0], cells[-1]):
+            word = cell.strip(" .:").lower()
+            if SUMMARY.fullmatch(word):
+                return word
+        return None if any(cells) else ""
 
 
 def numbers_of(cells: Sequence[str]) -> npt.NDArray[np.float64]:

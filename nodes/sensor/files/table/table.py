@@ -37,12 +37,15 @@ from sparseskin.nodes.sensor.layout.times import (
 
 from .head import EXCEL_LINE, read_head
 from .sample import GRID, LONG, is_number, is_value
-from .text import COMMENTS, pieces
+from .text import comment_mark, pieces
 
 HEXADECIMAL = re.compile(
     r"0[xX][0-9a-fA-F]+|(?=[0-9A-F]*[A-F])(?=[A-F]*[0-9])[0-9A-F]{2,}|FF+"
 )
 BLANK = "blank lines"
+BELOW = "summary line: "
+EMPTY = "lines of empty cells"
+"""Begin of the name by which a line below the readings is dropped, and that of lines of no text."""
 EXACT = float(1 << 53)
 """Largest whole number up to which float64 has all."""
 
@@ -150,6 +153,8 @@ class TableRecording(Recording):
         self, file: IO[bytes], name: str, n_before: int
     ) -> Iterator[list[DataLine]]:
         begins = True
+        # Lines that sum the table up, each once; no readings may follow.
+        below: set[str] = set()
         for piece in pieces(file, name):
             lines: list[DataLine] = []
             last_number = piece.number + len(piece.lines) - 1
@@ -161,6 +166,13 @@ class TableRecording(Recording):
                     label = self._dropped_as(
                         text, piece.is_cut and number == last_number
                     )
+                if below and (not label or label in below - {EMPTY}):
+                    fault = (
+                        f"is below a line that would be left out, {next(iter(below))}"
+                    )
+                    raise SourceError(f"{name}, line {number}: {fault}; remove that")
+                if label == EMPTY or label.startswith(BELOW):
+                    below.add(label)
                 if label:
                     self.tally.drop(label)
                 else:
@@ -175,7 +187,7 @@ class TableRecording(Recording):
         if number <= self._layout.skip:
             return "skipped lines"
         label = _empty_as(text)
-        if label != BLANK and text == self._head.header:
+        if label != BLANK and text in self._head.headers:
             return "header"
         if label != BLANK and text == self._head.units:
             return "line of units"
@@ -188,12 +200,16 @@ class TableRecording(Recording):
         if label:
             return label
         # A logger that was started again appends to its file.
-        if text == head.header:
+        if text in head.headers:
             return "repeated headers"
         if head.kind == GRID and not self._is_grid_row(text):
             return "lines between frames"
         if is_cut and len(head.dialect.cells(text)) < head.width:
             return "cut last line"
+        if head.has_summary and _may_sum_up(text):
+            word = head.summary_of(head.dialect.cells(text))
+            if word is not None:
+                return BELOW + word if word else EMPTY
         # What a board prints while it starts.
         if text[0].isalpha() and not self._may_be_data(text):
             return "lines of text"
@@ -305,6 +321,7 @@ class TableRecording(Recording):
         return f"{self._file.name}, line {line.number}"
 
     def _number(self, cell: str, line: DataLine, column: int) -> float:
+        head = self._head
         if is_number(cell):
             value = float(cell)
             if np.isfinite(value) or self._layout.accepts_missing:
@@ -312,7 +329,7 @@ class TableRecording(Recording):
         is_marker = cell.lower() in self._layout.missing_texts
         if is_marker or (is_missing(cell) and self._layout.accepts_missing):
             return np.nan
-        fault = f"column {self._head.label(column)}: {shown(cell)} is not a number"
+        fault = f"column {head.label(column)}: {shown(cell)} is not a number"
         fault = f"{self._place(line)}, {fault}"
         if is_missing(cell):
             raise SourceError(f"{fault}; {NAN_HINT}")
@@ -320,6 +337,9 @@ class TableRecording(Recording):
             # The numbers of other lines would be read as decimal ones.
             ways = f"write decimal numbers, or state missing={cell} if it stands for no reading"
             raise SourceError(f"{fault}, but may be a hexadecimal one; {ways}")
+        if any(head.is_indexed(k) for k in head.usable) and not head.is_indexed(column):
+            # A text beside the taxels may say that the line is none of readings.
+            raise SourceError(f"{fault}; remove the line, or the text")
         markers = ",".join(filter(None, (self._layout.missing, cell)))
         raise UnstatedError(fault, {"missing": markers})
 
@@ -432,9 +452,15 @@ class TableRecording(Recording):
         return Block(numbers, [times[k] for k in begins])
 
 
+def _may_sum_up(text: str) -> bool:
+    """True if a line may be below the readings: most lines are not, and are looked at no further."""
+    begin = text.lstrip(' \t",;|')[:3]
+    end = text.rstrip(' \t".:')[-1:]
+    return not begin or begin[0].isalpha() or "%" in begin or end.isalpha()
+
+
 def _empty_as(text: str) -> str:
     """The name by which a line without data is dropped; "" of others."""
-    stripped = text.strip()
-    if not stripped:
+    if not text.strip():
         return BLANK
-    return "comments" if stripped.startswith(COMMENTS) else ""
+    return "comments" if comment_mark(text) else ""

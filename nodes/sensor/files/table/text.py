@@ -44,7 +44,8 @@ DECIMAL_COMMA = re.compile(r"[-+]?\d*,\d+(?:[eE][-+]?\d+)?")
 GROUPED = re.compile(r"[-+]?\d{1,3}(?:,\d{3})+(?:\.\d+)?")
 """A number whose thousands are apart."""
 UTF_16 = (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)
-COMMENTS = ("#", "%", "//")
+COMMENT = re.compile(r"#(?!N/A|[A-Z]+(?:/0)?[!?])|%|//")
+"""Begin of a comment; #N/A and #DIV/0! are readings that a spreadsheet does not have."""
 
 _Any = TypeVar("_Any", str, tuple[str, ...], tuple[int, ...])
 
@@ -125,6 +126,17 @@ class Dialect(NamedTuple):
 
     def _joined(self, content: str) -> str:
         return self.separator.join(re.split(r"[\s,;]+", content.strip(" ,;")))
+
+
+def comment_mark(text: str) -> str:
+    """The mark with which a comment begins, "" of other lines."""
+    comment = COMMENT.match(text.lstrip())
+    return comment[0] if comment else ""
+
+
+def is_body(text: str) -> bool:
+    """True if a line is neither blank nor a comment. A header may begin with %."""
+    return bool(text.strip()) and comment_mark(text) in ("", "%")
 
 
 def split(line: str, separator: str) -> list[str]:
