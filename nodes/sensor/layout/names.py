@@ -20,6 +20,11 @@ AXIS = re.compile(r"(?:^|(?<=[^a-z]))[ft]?([xyz])(?=$|[^a-z])")
 ROW_WORDS = ("r", "row", "rows", "y", "line")
 COL_WORDS = ("c", "col", "cols", "column", "x")
 MAX_SHOWN = 6
+LONG_FORMS = {
+    3: ("frames,taxels,value",),
+    4: ("frames,rows,cols,value", "frames,cols,rows,value"),
+}
+"""`axes` of tables with a line for each taxel, by the number of their columns."""
 
 
 Family = tuple[str, str]
@@ -163,7 +168,11 @@ def _chosen(
     if n_stated is not None and not ways:
         needed = f"n_rows x n_cols = {layout.n_rows} x {layout.n_cols} needs {n_stated}"
         hint = "state columns, or another shape"
-        raise SourceError(f"{where}: {about}, but {needed}; {hint}")
+        forms = LONG_FORMS.get(len(names), ()) if not any(names) else ()
+        if forms:
+            hint += f", or axes={forms[0]} if a line is of one taxel"
+        options = [{"axes": form} for form in forms]
+        raise UnstatedError(f"{where}: {about}, but {needed}; {hint}", *options)
     texts = [_as_text(names, columns) for columns in ways]
     hint = "columns, or n_rows and n_cols"
     if n_stated is not None:

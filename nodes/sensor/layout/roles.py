@@ -22,7 +22,8 @@ COLS = "cols"
 TAXELS = "taxels"
 CHANNEL = "channel"
 NONE = "-"
-"""Roles of an axis; none: it has one entry."""
+VALUE = "value"
+"""Roles of an axis; none: it has one entry; value: a column of a table."""
 Roles = tuple[str, ...]
 FIRST: Roles = (FRAMES,)
 """Begin of the roles of an array whose first axis is that of the frames."""
@@ -128,8 +129,8 @@ def _labelled(layout: Layout, axes: Sequence[Axis], has_frames: bool) -> list[Ro
     of preference.
     """
     stated = layout.axis_names
-    # Labels of the file hold where nothing is stated.
-    if not stated:
+    # Labels of the file hold where nothing is stated, or the columns of its lines are.
+    if not stated or VALUE in stated:
         possible = _assignments(axes, has_frames)
         return [roles for roles in possible if _allow(axes, roles)]
     if not has_frames:

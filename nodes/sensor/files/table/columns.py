@@ -233,6 +233,19 @@ def _ask_for_times(head: TableHead) -> None:
     raise which_times(fault, _keys(head, rising), len(head.data))
 
 
+def ask_for_time(head: TableHead, frame: int) -> None:
+    """Raise UnstatedError if a column that states frames holds other numbers than whole ones, and
+    is not read as times.
+    """
+    numbers = head.numbers(frame)
+    is_decided = head.time is not None or head.layout.time or head.layout.rate_hz
+    if not is_decided and not (numbers == np.rint(numbers)).all():
+        fault = (
+            f"{head.name}: column {head.label(frame)} numbers frames, or is the times"
+        )
+        raise UnstatedError.between(fault, "time", [*_keys(head, [frame]), "none"])
+
+
 def _keys(head: TableHead, columns: Sequence[int]) -> list[str]:
     """Names of columns, or their numbers from 1, as `time` states them."""
     return [head.names[k] or str(k + 1) for k in columns]

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
 
 import numpy as np
 
@@ -12,24 +11,18 @@ from sparseskin.nodes.sensor.files.recording import File
 from sparseskin.nodes.sensor.layout.checks import is_missing, shown
 from sparseskin.nodes.sensor.layout.layout import UnstatedError, listed
 from sparseskin.nodes.sensor.layout.names import (
-    COL_WORDS,
-    ROW_WORDS,
-    last_part,
     pattern_of,
 )
 from sparseskin.nodes.sensor.layout.times import are_likely, is_time_name, rate_of
 
-from .columns import counters, find_times, source_column
+from .columns import ask_for_time, counters, find_times, source_column
 from .labels import find_data
+from .long import long_columns
 from .sample import (
-    FRAME_WORDS,
     GRID,
     LINES,
     LONG,
-    TAXEL_WORDS,
     Line,
-    LongColumns,
-    Place,
     TableHead,
     is_number,
 )
@@ -57,9 +50,6 @@ NUMBER_LINE = re.compile(r"[^\w.+-]*[A-Za-z_]*\W*?(\d+(?:\.\d+)?)\W*")
 FRAME_NAME = re.compile(r"frame|img|image|sample|row|line|t\d|\W*\d", re.IGNORECASE)
 """Begin of names of frames, and of rows of a grid, which are none of taxels."""
 EXCEL_LINE = re.compile(r"sep=(.)", re.IGNORECASE)
-VALUE_WORDS = (
-    *("value", "val", "v", "force", "pressure", "reading", "data", "count", "counts"),
-)
 
 
 def read_head(file: File) -> TableHead:
@@ -89,7 +79,11 @@ def read_head(file: File) -> TableHead:
     else:
         find_times(head)
     no_taxels = (head.time, head.nanoseconds, source, *counters(head))
-    head.usable = tuple(k for k in head.numeric if k not in no_taxels)
+    columns = head.numeric
+    if head.long is not None:
+        columns = head.long.columns
+        ask_for_time(head, head.long.frame)
+    head.usable = tuple(k for k in columns if k not in no_taxels)
     _note_texts(head)
     return head
 
@@ -180,14 +174,12 @@ def _find_numeric(head: TableHead) -> None:
 def _find_kind(head: TableHead, has_parts: bool) -> None:
     """Find whether a frame is a line, a block of lines, or a line for each taxel."""
     layout = head.layout
-    # It may be stated that a frame is a line.
-    if layout.axes:
-        return
-    head.long = _long_columns(head)
+    head.long = long_columns(head)
     if head.long is not None:
         head.kind = LONG
-        sides = " x ".join(str(place.size) for place in head.long.places)
-        head.notes += (f"a line for each taxel: {sides}",)
+        return
+    # It may be stated that a frame is a line.
+    if layout.axes:
         return
     n_headers = sum(line.text in head.headers for line in head.raw)
     # Positions above each frame name no columns.
@@ -247,42 +239,6 @@ def _block_heights(head: TableHead) -> list[int]:
         elif heights[-1]:
             heights.append(0)
     return [height for height in heights if height]
-
-
-def _long_columns(head: TableHead) -> LongColumns | None:
-    """Columns of frame, row, column and value, or of frame, taxel and value, where the names state
-    them.
-    """
-    names = [last_part(name) for name in head.names]
-
-    def only(words: Sequence[str]) -> int | None:
-        columns = [k for k in head.numeric if names[k] in words]
-        return columns[0] if len(columns) == 1 else None
-
-    sides = [only((*ROW_WORDS, "i")), only((*COL_WORDS, "j"))]
-    stated = [head.layout.n_rows, head.layout.n_cols]
-    if sides == [None, None]:
-        sides = [only(TAXEL_WORDS)]
-        stated = [None]
-    value = only(VALUE_WORDS)
-    frames = [k for k in head.numeric if names[k] in FRAME_WORDS]
-    frames += [k for k in range(head.width) if is_time_name(names[k])]
-    if None in sides or value is None or not frames:
-        return None
-
-    # The first frame shows the sides.
-    keys = head.cells(frames[0])
-    n_lines = sum(key == keys[0] for key in keys)
-    places = []
-    for column, size in zip(sides, stated, strict=True):
-        assert column is not None
-        cells = head.cells(column)[:n_lines]
-        if not all(map(str.isdecimal, cells)):
-            return None
-        numbers = list(map(int, cells))
-        begin = min(numbers)
-        places.append(Place(column, begin, size or max(numbers) - begin + 1))
-    return LongColumns(frames[0], tuple(places), value)
 
 
 def _ask_for_axes(head: TableHead) -> None:

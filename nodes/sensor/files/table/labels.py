@@ -60,9 +60,9 @@ def _without_summary(head: TableHead, lines: list[Line]) -> list[Line]:
 
 
 def _is_title(line: Line) -> bool:
-    first, *others = line.cells
-    is_text = bool(first) and not is_value(first)
-    return is_text and 2 * sum(map(bool, others)) < len(others)
+    begin, *rest_of_line = line.cells
+    is_text = bool(begin) and not is_value(begin)
+    return is_text and 2 * sum(map(bool, rest_of_line)) < len(rest_of_line)
 
 
 def _find_levels(head: TableHead, lines: Sequence[Line]) -> bool:

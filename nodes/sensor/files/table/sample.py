@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from sparseskin.nodes.sensor.layout.arrangement import Axis
+from sparseskin.nodes.numerics.arrays import Doubles
 from sparseskin.nodes.sensor.layout.checks import is_missing, shown
 from sparseskin.nodes.sensor.layout.layout import Layout
 from sparseskin.nodes.sensor.layout.times import clock_ns, iso_ns
@@ -28,11 +28,6 @@ FRAME_WORDS = (
     "seq",
     "n",
 )
-TAXEL_WORDS = (
-    *("taxel", "taxel_id", "sensor", "sensor_id", "channel", "cell", "electrode", "id"),
-    "variable",
-)
-"""Names of columns that state which taxel a line is of."""
 SUMMARY = re.compile(
     r"mean|average|avg|median|max(?:imum)?|min(?:imum)?|sum|total|count|peak|var(?:iance)?|rms"
     r"|std(?:\.? ?dev)?|s\.?d|standard deviation|\d\d?%"
@@ -52,27 +47,35 @@ class Line(NamedTuple):
     cells: Sequence[str]
 
 
-class Place(NamedTuple):
-    """A column of rows, columns or taxels, its least number, and how many there are."""
-
-    column: int
-    begin: int
-    size: int
-
-
 class LongColumns(NamedTuple):
-    """Columns of a table with a line for each taxel: of row and column, or of the taxel alone."""
+    """Columns of a table with a line for each taxel."""
 
     frame: int  # a number, or the time
-    places: tuple[Place, ...]
+    places: tuple[int, ...]  # row and column, or the taxel alone
     value: int
 
     @property
-    def axes(self) -> tuple[Axis, ...]:
-        """Axes of a frame."""
-        labels = ("taxels",) if len(self.places) == 1 else ("rows", "cols")
-        sizes = [place.size for place in self.places]
-        return tuple(map(Axis, sizes, labels))
+    def columns(self) -> tuple[int, ...]:
+        """All of them."""
+        return (self.frame, *self.places, self.value)
+
+
+class DataLine(NamedTuple):
+    """A line of data: its text, its number in the file, and whether something else stands between
+    it and the one before.
+    """
+
+    text: str
+    number: int
+    begins: bool
+
+
+class Parsed(NamedTuple):
+    """Lines of data, their numbers (k, width), NaN where there is none, and their times."""
+
+    lines: Sequence[DataLine]
+    numbers: Doubles
+    times: list[int | float] | None
 
 
 @dataclass
@@ -102,6 +105,9 @@ class TableHead:
     height: int = 1  # lines of a frame of a grid
     n_labels: int = 0  # columns before its readings: the numbers of the rows
     long: LongColumns | None = None
+    taxels: dict[str, int] = field(
+        default_factory=dict
+    )  # their names, in a column of texts
     source: int | None = None  # column by which lines of one skin are chosen
     notes: tuple[str, ...] = ()
 

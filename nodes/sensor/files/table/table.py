@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator, Sequence
-from typing import IO, NamedTuple
+from typing import IO
 
 import numpy as np
-import numpy.typing as npt
 
 from sparseskin.nodes.errors import SourceError
 from sparseskin.nodes.numerics.arrays import Doubles
@@ -36,7 +35,8 @@ from sparseskin.nodes.sensor.layout.times import (
 )
 
 from .head import EXCEL_LINE, read_head
-from .sample import GRID, LONG, is_number, is_value
+from .long import LongFrames
+from .sample import GRID, DataLine, Parsed, is_number, is_value
 from .text import comment_mark, pieces
 
 HEXADECIMAL = re.compile(
@@ -48,24 +48,6 @@ EMPTY = "lines of empty cells"
 """Begin of the name by which a line below the readings is dropped, and that of lines of no text."""
 EXACT = float(1 << 53)
 """Largest whole number up to which float64 has all."""
-
-
-class DataLine(NamedTuple):
-    """A line of data: its text, its number in the file, and whether something else stands between
-    it and the one before.
-    """
-
-    text: str
-    number: int
-    begins: bool
-
-
-class Parsed(NamedTuple):
-    """Lines of data, their numbers (k, width), NaN where there is none, and their times."""
-
-    lines: Sequence[DataLine]
-    numbers: Doubles
-    times: list[int | float] | None
 
 
 class TableRecording(Recording):
@@ -83,6 +65,9 @@ class TableRecording(Recording):
         self._layout = file.layout
         self._head = read_head(file)
         self.tally = Tally("lines")
+        self._long = None
+        if self._head.long is not None:
+            self._long = LongFrames(self._head, self._head.long, self._rows)
 
     def head(self) -> Head:
         head = self._head
@@ -96,8 +81,8 @@ class TableRecording(Recording):
             width = head.width - head.n_labels
             axes = (Axis(head.height, "rows"), Axis(width, "cols"))
             usable = None
-        elif head.long is not None:
-            axes = head.long.axes
+        elif self._long is not None:
+            axes = self._long.axes
             usable = None
         return Head(
             axes,
@@ -128,8 +113,10 @@ class TableRecording(Recording):
         self.tally.begin()
         if self._head.kind == GRID:
             yield from self._grids()
-        elif self._head.kind == LONG:
-            yield from self._long()
+        elif self._long is not None:
+            for block, n_lines in self._long.blocks():
+                self.tally.take(n_lines, len(block.numbers))
+                yield from block.parts()
         else:
             for _, numbers, times in self._rows():
                 self.tally.take(len(numbers), len(numbers))
@@ -243,7 +230,9 @@ class TableRecording(Recording):
     def _parsed(self, lines: Sequence[DataLine]) -> Parsed:
         # NumPy reads a block at once; what it refuses is read line by line, for the place.
         numbers = None
-        if self._head.dialect.is_plain:
+        if self._head.dialect.is_plain and {*self._head.usable} <= {
+            *self._head.numeric
+        }:
             numbers = self._numbers_of_plain([line.text for line in lines])
         if numbers is not None and self._has_exact_times(numbers):
             times = None
@@ -322,6 +311,8 @@ class TableRecording(Recording):
 
     def _number(self, cell: str, line: DataLine, column: int) -> float:
         head = self._head
+        if head.long is not None and column not in head.numeric:
+            return head.taxels.setdefault(cell, len(head.taxels))
         if is_number(cell):
             value = float(cell)
             if np.isfinite(value) or self._layout.accepts_missing:
@@ -392,71 +383,12 @@ class TableRecording(Recording):
             rows = rows[n_whole:]
         self.tally.drop("lines of a cut last frame", len(rows))
 
-    def _long(self) -> Iterator[Block]:
-        """Frames of a table with a line for each taxel: lines in a row with the same frame."""
-        long = self._head.long
-        assert long is not None
-        rows = np.empty((0, self._head.width))
-        times: list[int | float] = []
-        for _, new_rows, new_times in self._rows():
-            rows = np.concatenate([rows, new_rows])
-            times += new_times or []
-            is_timed = long.frame == self._head.time
-            keys = np.array(times) if is_timed else rows[:, long.frame]
-            begins = np.flatnonzero(np.diff(keys, prepend=np.nan) != 0)
-            # The last frame may go on in the next lines.
-            stop = int(begins[-1])
-            if stop:
-                yield self._pivoted(rows[:stop], begins[:-1], times)
-            rows = rows[stop:]
-            times = times[stop:]
-        if len(rows):
-            yield self._pivoted(rows, np.array([0]), times)
-
-    def _pivoted(
-        self, rows: Doubles, begins: npt.NDArray[np.intp], times: Sequence[int | float]
-    ) -> Block:
-        """Frames of lines, of which each of `begins` is the first of a frame."""
-        long = self._head.long
-        assert long is not None
-
-        # Number of the frame, row and column of each line.
-        counts = np.diff([*begins, len(rows)])
-        frame = np.repeat(np.arange(len(begins)), counts)
-        sizes = [place.size for place in long.places]
-        least_numbers = [place.begin for place in long.places]
-        places = rows[:, [place.column for place in long.places]] - least_numbers
-        inside = ((places >= 0) & (places < sizes)).all(axis=1)
-        if not inside.all():
-            names = [axis.label for axis in long.axes]
-            k = int(np.argmin(inside))
-            text = ", ".join(
-                f"{name} {n:g}" for name, n in zip(names, places[k], strict=True)
-            )
-            sides = " x ".join(map(str, sizes))
-            fault = f"{text} is outside {sides}, as of the first frame"
-            way = "the lines of a frame have to follow each other: sort the file by its frames"
-            raise SourceError(f"{self._file.name}: {fault}; {way}")
-
-        # Taxels that have no line in a frame are missing: not 0, which would be a force.
-        shape = (len(begins), *sizes)
-        numbers = np.full(shape, np.nan)
-        cells = np.ravel_multi_index((frame, *places.T.astype(np.intp)), shape)
-        if np.unique(cells).size != len(rows):
-            raise SourceError(f"{self._file.name}: a frame holds a taxel twice")
-        numbers.flat[cells] = rows[:, long.value]
-
-        self.tally.take(len(rows), len(begins))
-        if not times:
-            return Block(numbers)
-        return Block(numbers, [times[k] for k in begins])
-
 
 def _may_sum_up(text: str) -> bool:
-    """True if a line may be below the readings: most lines are not, and are looked at no further."""
+    """True if a line may be below the readings: most are not, and are looked at no further."""
     begin = text.lstrip(' \t",;|')[:3]
     end = text.rstrip(' \t".:')[-1:]
-    return not begin or begin[0].isalpha() or "%" in begin or end.isalpha()
+    return not begin or begin[0].isalpha() or end.isalpha() or "%" in begin + end
 
 
 def _empty_as(text: str) -> str:

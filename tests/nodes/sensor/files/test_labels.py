@@ -447,3 +447,66 @@ def test_an_array_that_rises_beside_the_frames_is_asked_about(tmp_path, n_frames
     layout = Layout(axes="frames,rows,cols")
     with pytest.raises(SourceError, match="state time=arr_0 or time=none"):
         open_file(tmp_path / "a.npz", layout)
+
+
+@FORGIVING
+@given(
+    shape=st.tuples(st.integers(2, 3), st.integers(2, 4)),
+    place=st.sampled_from(["grid", "number", "name"]),
+    order=st.sampled_from(["frames", "taxels", "none"]),
+    names=st.sampled_from(["own", "other", "none"]),
+    is_timed=st.booleans(),
+    seed=st.integers(0, 1000),
+)
+def test_a_line_for_each_taxel_is_read_in_any_order(
+    tmp_path, shape, place, order, names, is_timed, seed
+):
+    frames = readings_of(5, shape, seed)
+    rows = []
+    for k, row, col in np.ndindex(frames.shape):
+        number = row * shape[1] + col
+        places = {
+            "grid": f"{row},{col}",
+            "number": f"{number}",
+            "name": f"r{row}c{col}",
+        }
+        rows.append(
+            f"{k / 50 if is_timed else k},{places[place]},{frames[k, row, col]}"
+        )
+    if order == "taxels":
+        rows = [row for k in range(frames[0].size) for row in rows[k :: frames[0].size]]
+    elif order == "none":
+        np.random.default_rng(seed).shuffle(rows)
+    forms = {"grid": "frames,rows,cols,value", "other": "frames,taxels,value"}
+    axes = forms.get(place, forms["other"])
+    stated = {"time": "1", "time_unit": "s"} if is_timed else {}
+    if names == "own":
+        time = "time_s" if is_timed else "frame"
+        rows.insert(0, f"{time},{'row,col' if place == 'grid' else 'taxel'},value")
+        stated = {}
+    else:
+        stated["axes"] = axes
+        if names == "other":
+            rows.insert(0, f"Bild,{'Zeile,Spalte' if place == 'grid' else 'Feld'},Wert")
+    text = "\n".join(rows) + "\n"
+    source = read(tmp_path, text, shape, **stated)
+    np.testing.assert_array_equal(source.frames, frames)
+    rate_hz = 50 if is_timed else 100
+    np.testing.assert_allclose(source.stamp_ns / 1e9, np.arange(5) / rate_hz, atol=1e-9)
+
+    # A line that is missing is a taxel that is.
+    rows.pop(-1 - (seed % 3))
+    with pytest.raises(SourceError, match="nan is not finite"):
+        read(tmp_path, "\n".join(rows) + "\n", shape, **stated)
+
+
+def test_columns_without_names_of_a_line_for_each_taxel_are_proposed(tmp_path):
+    frames = readings_of(5, (2, 3), 1)
+    rows = [
+        f"{k},{row},{col},{frames[k, row, col]}" for k, row, col in np.ndindex(5, 2, 3)
+    ]
+    text = "\n".join(rows) + "\n"
+    with pytest.raises(SourceError, match="; add axes=frames,rows,cols,value$"):
+        read(tmp_path, text, (2, 3))
+    with pytest.raises(SourceError, match="axes = frames,rows,value, of lines of 4"):
+        read(tmp_path, text, (2, 3), axes="frames,rows,value")
