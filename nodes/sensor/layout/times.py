@@ -87,10 +87,13 @@ FEW_RISING = 4
 SAME_STEPS = 1.001
 """The same of numbers that rise in steps of one size, by this ratio."""
 CLOCK = re.compile(
-    r"(\d{1,2}):([0-5]\d):([0-6]\d)(?:[.,](\d{1,9})|:(\d{3}))?(?:\s*([ap])\.?m\.?)?",
+    r"(?:(\d+) days? )?(?:(\d{1,2}):|(?=[\d:]+[.,]))([0-5]?\d):([0-6]\d)"
+    r"(?:[.,](\d{1,9})|:(\d{3}))?(?:\s*([ap])\.?m\.?)?",
     re.IGNORECASE,
 )
-"""A time of day, perhaps of 12 hours; LabVIEW has a colon before milliseconds."""
+"""A time of day, perhaps of 12 hours, or minutes and seconds with a fraction; LabVIEW has a colon
+before milliseconds, pandas days before the time.
+"""
 
 
 def is_time_name(name: str) -> bool:
@@ -216,13 +219,14 @@ def clock_ns(text: str) -> int | None:
     match = CLOCK.fullmatch(text)
     if match is None:
         return None
-    hour = int(match[1])
-    if match[6]:
+    hour = int(match[2] or 0)
+    if match[7]:
         if not 1 <= hour <= 12:
             return None
-        hour = hour % 12 + 12 * (match[6] in "pP")
-    whole_s = 3600 * hour + 60 * int(match[2]) + int(match[3])
-    fraction = match[4] or match[5] or "0"
+        hour = hour % 12 + 12 * (match[7] in "pP")
+    hours = 24 * int(match[1] or 0) + hour
+    whole_s = 3600 * hours + 60 * int(match[3]) + int(match[4])
+    fraction = match[5] or match[6] or "0"
     return whole_s * 10**9 + int(fraction.ljust(9, "0"))
 
 

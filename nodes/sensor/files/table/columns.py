@@ -303,8 +303,9 @@ def _takes_turns(head: TableHead, k: int) -> bool:
     cells = head.cells(k)
     skins = list(dict.fromkeys(cells))
     n = len(skins)
-    is_place = last_part(head.names[k]) in (*ROW_WORDS, *COL_WORDS, "variable")
-    if is_place or not 1 < n <= MAX_SKINS or n == len(cells):
+    name = last_part(head.names[k])
+    is_no_skin = name in (*ROW_WORDS, *COL_WORDS) or is_time_name(name)
+    if is_no_skin or not 1 < n <= MAX_SKINS or n == len(cells):
         return False
     if k in head.numeric:
         # Numbers that repeat may be readings of a coarse converter; a round is no accident.

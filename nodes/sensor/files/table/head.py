@@ -22,6 +22,7 @@ from .sample import (
     GRID,
     LINES,
     LONG,
+    UNMARKED,
     Line,
     TableHead,
     is_number,
@@ -59,7 +60,7 @@ def read_head(file: File) -> TableHead:
     head = _sampled(file)
     find_data(head)
     if not head.data:
-        raise SourceError(f"{file.name}: the recording holds no frame")
+        raise _without_numbers(head)
     head.n_before = head.data[0].number - 1
     _find_numeric(head)
     _find_kind(head, bool(file.parts))
@@ -75,7 +76,7 @@ def read_head(file: File) -> TableHead:
 
     # The lines of a block have no times of their own.
     if head.kind == GRID:
-        _ask_for_titles(head)
+        _find_titles(head)
     else:
         find_times(head)
     no_taxels = (head.time, head.nanoseconds, source, *counters(head))
@@ -86,6 +87,14 @@ def read_head(file: File) -> TableHead:
     head.usable = tuple(k for k in columns if k not in no_taxels)
     _note_texts(head)
     return head
+
+
+def _without_numbers(head: TableHead) -> SourceError:
+    """The error that no line holds numbers, with one that should."""
+    lines = [line for line in head.raw if is_body(line.text)]
+    number, text, _ = lines[-1]
+    fault = f"line {number}, {shown(text.strip())}, holds no column of numbers"
+    return SourceError(f"{head.name}: the recording holds no frame: {fault}")
 
 
 def _sampled(file: File) -> TableHead:
@@ -160,8 +169,11 @@ def _find_numeric(head: TableHead) -> None:
         if not cells:
             empty.append(k)
         cells = [cell for cell in cells if cell.lower() not in markers]
-        n_numbers = sum(map(is_number, cells))
-        if n_numbers and 2 * n_numbers >= len(cells):
+        texts = [cell for cell in cells if not is_number(cell)]
+        n_numbers = len(cells) - len(texts)
+        # Hexadecimal numbers are refused where they stand, as damaged ones are.
+        may_be_numbers = all(map(UNMARKED.fullmatch, texts))
+        if n_numbers and (may_be_numbers or n_numbers >= len(texts)):
             numeric.append(k)
     patterns = {pattern_of(head.names[k]) for k in numeric if head.is_indexed(k)}
     dead = [k for k in empty if pattern_of(head.names[k]) in patterns]
@@ -279,11 +291,10 @@ def _find_rate(head: TableHead) -> None:
         head.notes += (f"the rate is that of the line {shown(text)}",)
 
 
-def _ask_for_titles(head: TableHead) -> None:
-    """Raise SourceError if lines between the frames of a grid state times, which are not read."""
-    layout = head.layout
-    if layout.rate_hz is not None or layout.time or head.rate_hz is not None:
-        return
+def _find_titles(head: TableHead) -> None:
+    """Find numbers between the frames of a grid. Raises SourceError if lines between them state
+    times, which are not read.
+    """
     between = [line for line in head.raw if not _is_row(head, line)]
     titles = [line for line in between if TITLE_TIME.search(line.text)]
     counted = []
@@ -293,12 +304,14 @@ def _ask_for_titles(head: TableHead) -> None:
         if match is not None and line not in titles:
             counted.append(line)
             counts.append(float(match[1]))
+    head.are_numbered = len(counts) > 2
     # Numbers of the frames rise by 1, times do not.
-    if len(counts) > 2 and are_likely(np.array(counts)):
+    if head.are_numbered and are_likely(np.array(counts)):
         titles += counted
     # One such line is about the whole recording.
     is_later = any(line.number > head.n_before for line in titles)
-    if is_later and len(titles) > 1:
+    is_decided = head.layout.rate_hz or head.layout.time or head.rate_hz
+    if is_later and len(titles) > 1 and not is_decided:
         number, text, _ = titles[0]
         fault = (
             f"line {number}, {shown(text.strip())}, states a time, which is not read"

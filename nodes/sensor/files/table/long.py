@@ -161,8 +161,8 @@ class LongFrames:
         """Frames of lines, of which each of `begins` is the first of a frame."""
         counts = np.diff([*begins, len(rows)])
         frame = np.repeat(np.arange(len(begins)), counts)
-        least, sizes = self._places
-        places = rows[:, list(self._columns.places)] - least
+        origin, sizes = self._places
+        places = rows[:, list(self._columns.places)] - origin
         is_inside = ((places >= 0) & (places < sizes)).all(axis=1)
         if not is_inside.all():
             names = [axis.label for axis in self.axes]

@@ -33,6 +33,9 @@ SUMMARY = re.compile(
     r"|std(?:\.? ?dev)?|s\.?d|standard deviation|\d\d?%"
 )
 """Words in small letters that name lines below a table which sum it up."""
+UNMARKED = re.compile(r"(?=.*[A-F])(?=.*[0-9])[0-9A-F]{2,}|FF+", re.IGNORECASE)
+"""Texts that may be hexadecimal numbers."""
+HEXADECIMAL = re.compile(r"0[xX][0-9a-fA-F]{1,16}")
 LINES = "lines"
 GRID = "grid"
 LONG = "long"
@@ -103,6 +106,9 @@ class TableHead:
     rate_hz: float | None = None  # as a line before the table states it
     kind: str = LINES
     height: int = 1  # lines of a frame of a grid
+    are_numbered: bool = (
+        False  # a line of one number stands before each frame of a grid
+    )
     n_labels: int = 0  # columns before its readings: the numbers of the rows
     long: LongColumns | None = None
     taxels: dict[str, int] = field(
@@ -145,16 +151,21 @@ class TableHead:
 
 def numbers_of(cells: Sequence[str]) -> npt.NDArray[np.float64]:
     """Numbers of cells, NaN for other texts."""
-    return np.array([float(cell) if is_number(cell) else np.nan for cell in cells])
+    numbers = (number_of(cell) for cell in cells)
+    return np.array([np.nan if number is None else number for number in numbers])
+
+
+def number_of(cell: str) -> float | None:
+    """The number in a cell; None if it is none, or one of Python's literals such as 1_0."""
+    try:
+        return None if "_" in cell else float(cell)
+    except ValueError:
+        return float(int(cell, 16)) if HEXADECIMAL.fullmatch(cell) else None
 
 
 def is_number(cell: str) -> bool:
-    """True if a cell is a number; not one of Python's literals such as 1_0."""
-    try:
-        float(cell)
-    except ValueError:
-        return False
-    return "_" not in cell
+    """True if a cell is a number."""
+    return number_of(cell) is not None
 
 
 def is_value(cell: str) -> bool:

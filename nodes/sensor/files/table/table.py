@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Iterator, Sequence
 from typing import IO
 
@@ -36,12 +35,9 @@ from sparseskin.nodes.sensor.layout.times import (
 
 from .head import EXCEL_LINE, read_head
 from .long import LongFrames
-from .sample import GRID, DataLine, Parsed, is_number, is_value
+from .sample import GRID, UNMARKED, DataLine, Parsed, is_number, is_value, number_of
 from .text import comment_mark, pieces
 
-HEXADECIMAL = re.compile(
-    r"0[xX][0-9a-fA-F]+|(?=[0-9A-F]*[A-F])(?=[A-F]*[0-9])[0-9A-F]{2,}|FF+"
-)
 BLANK = "blank lines"
 BELOW = "summary line: "
 EMPTY = "lines of empty cells"
@@ -219,6 +215,9 @@ class TableRecording(Recording):
     def _is_grid_row(self, text: str) -> bool:
         """True if a line is one of a grid, perhaps with another number of cells: an error."""
         stripped = text.strip()
+        # A row of which one number is left is noticed by the height of its frame.
+        if self._head.are_numbered and is_number(stripped):
+            return False
         begins_row = stripped[0].isdigit() or stripped[0] in '+-."[('
         # A line may be a time of day.
         if begins_row and ":" not in stripped:
@@ -313,10 +312,9 @@ class TableRecording(Recording):
         head = self._head
         if head.long is not None and column not in head.numeric:
             return head.taxels.setdefault(cell, len(head.taxels))
-        if is_number(cell):
-            value = float(cell)
-            if np.isfinite(value) or self._layout.accepts_missing:
-                return value
+        value = number_of(cell)
+        if value is not None and (np.isfinite(value) or self._layout.accepts_missing):
+            return value
         is_marker = cell.lower() in self._layout.missing_texts
         if is_marker or (is_missing(cell) and self._layout.accepts_missing):
             return np.nan
@@ -324,7 +322,7 @@ class TableRecording(Recording):
         fault = f"{self._place(line)}, {fault}"
         if is_missing(cell):
             raise SourceError(f"{fault}; {NAN_HINT}")
-        if HEXADECIMAL.fullmatch(cell):
+        if UNMARKED.fullmatch(cell):
             # The numbers of other lines would be read as decimal ones.
             ways = f"write decimal numbers, or state missing={cell} if it stands for no reading"
             raise SourceError(f"{fault}, but may be a hexadecimal one; {ways}")

@@ -34,7 +34,7 @@ LIST = re.compile(
     r"(?:[A-Za-z_.]+\((?:'\w+',)?\s*)?\[([^\[\]]*)\](?:,\s*dtype=\w+)?\)?"
 )
 """A list of numbers, perhaps as Python prints an array of them."""
-BRACKETS = str.maketrans("", "", "[](){}")
+BRACKETS = str.maketrans("", "", "[](){}<>")
 PAIR = re.compile(
     r"([A-Za-z_][\w.\[\]-]*)\s*[:=]\s*([^\s,;|]+)"
     r"(?:\s+[A-Za-zµ%°/²]+(?=\s*[,;|]|$))?[\s,;|]*"
@@ -210,7 +210,7 @@ def dialect_of(lines: Sequence[str]) -> Dialect:
         label = _usual(NUMBER.sub("#", m[0]) if m else "" for m in matches)
         bodies = [LABEL.sub("", body, count=1) for body in bodies] if label else bodies
     has_brackets = _are_most(
-        bodies, lambda line: re.search(r"[\[({]\s*[-+.\d]", line) is not None
+        bodies, lambda line: re.search(r"[\[({<]\s*[-+.\d]", line) is not None
     )
     separator = _separator(bodies)
     has_quotes = any('"' in line for line in lines)
