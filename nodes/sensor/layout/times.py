@@ -38,15 +38,9 @@ UNIT_NAME = re.compile(
     r"|(?P<long>mins|minute|hour|hr|day)s?)\W*$"
 )
 LONG_UNITS = {
-    **{
-        "nanos": "ns",
-        "nano": "ns",
-        "n": "ns",
-        "micros": "us",
-        "micro": "us",
-        "u": "us",
-    },
-    **{"µs": "us", "µ": "us", "millis": "ms", "milli": "ms", "m": "ms"},
+    **dict.fromkeys(("nanos", "nano", "n"), "ns"),
+    **dict.fromkeys(("micros", "micro", "u", "µs", "µ"), "us"),
+    **dict.fromkeys(("millis", "milli", "m"), "ms"),
     **{"mins": "min", "minute": "min", "hour": "h", "hr": "h", "day": "d"},
 }
 RATE_NAME = re.compile(
@@ -72,10 +66,20 @@ DATE = re.compile(
     r"|(?P<first>\d{1,2})/(?P<second>\d{1,2})/(?P<last>\d{4}))(?:$|[ T]+)"
 )
 """A date at the begin of a text. Of 3/12/2026 the order is that of the country."""
-MONTHS = (
-    *("jan", "feb", "mar", "apr", "may", "jun"),
-    *("jul", "aug", "sep", "oct", "nov", "dec"),
-)
+MONTHS = [
+    "jan",
+    "feb",
+    "mar",
+    "apr",
+    "may",
+    "jun",
+    "jul",
+    "aug",
+    "sep",
+    "oct",
+    "nov",
+    "dec",
+]
 BASIC_DATE = re.compile(r"(\d{8})[T_ ]?(\d{6})(?:[.,]?(\d{1,9}))?")
 """Dates without separators, as 20260312T101502.120 or 20260312101502."""
 USUAL_WRAP = 1 << 32

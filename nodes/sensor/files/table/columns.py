@@ -50,10 +50,22 @@ from .text import Dialect
 MAX_UNEVEN = 5.0
 """Largest ratio of the steps of times in a few lines, of a column at an end, where the shape shows
 that one is no taxel; chosen: a frame may be late."""
-SOURCE_WORDS = (
-    *("side", "hand", "foot", "finger", "sensor", "sensor_id", "sensor_name", "device"),
-    *("device_id", "skin", "patch", "mat", "board", "module"),
-)
+SOURCE_WORDS = [
+    "side",
+    "hand",
+    "foot",
+    "finger",
+    "sensor",
+    "sensor_id",
+    "sensor_name",
+    "device",
+    "device_id",
+    "skin",
+    "patch",
+    "mat",
+    "board",
+    "module",
+]
 """Names of columns that state which skin a line is of."""
 MAX_ROWS = 100
 """Rows of numbers that are looked at, chosen."""

@@ -130,9 +130,9 @@ def _sampled(file: File) -> TableHead:
 
     # A separator at the end of each line begins no cell.
     ends_empty = all(cells[-1] == "" for cells in by_width[width])
-    has_trailing = width > 1 and ends_empty and dialect.separator != " "
-    head = TableHead(file.layout, file.name, dialect, width - has_trailing)
-    head.has_trailing = has_trailing
+    width -= width > 1 and ends_empty and dialect.separator != " "
+    dialect = dialect._replace(n_cells=width)
+    head = TableHead(file.layout, file.name, dialect, width)
     head.n_before = n_skipped
     for number, text in enumerate(texts, start=1):
         head.raw.append(Line(number, text, dialect.cells(text)))
@@ -238,7 +238,7 @@ def _n_labels(head: TableHead, height: int) -> int:
 
 
 def _is_row(head: TableHead, line: Line) -> bool:
-    return head.has_width(line.cells) and any(map(is_number, line.cells))
+    return len(line.cells) == head.width and any(map(is_number, line.cells))
 
 
 def _block_heights(head: TableHead) -> list[int]:

@@ -31,7 +31,7 @@ MAX_LEVELS = 4
 def find_data(head: TableHead) -> None:
     """Find the lines of data, and the names above them."""
     lines = [line for line in head.raw[head.n_before :] if is_body(line.text)]
-    lines = [line for line in lines if head.has_width(line.cells)]
+    lines = [line for line in lines if len(line.cells) == head.width]
     head.names = ("",) * head.width
     if head.dialect.names:
         head.names = ("",) * head.dialect.has_prefix + head.dialect.names
@@ -72,7 +72,7 @@ def _find_levels(head: TableHead, lines: Sequence[Line]) -> bool:
     # The first column may be an index, whose cell names the level.
     names = ["index"] + [""] * (head.width - 1)
     for n, line in enumerate(lines[:MAX_LEVELS], start=1):
-        cells = _filled(line.cells[: head.width])
+        cells = _filled(line.cells)
         if not _are_parts(names, cells):
             return False
         level = cells[0] if cells[0].lower() in (*ROW_WORDS, *COL_WORDS) else ""
@@ -126,15 +126,15 @@ def _are_parts(names: Sequence[str], cells: Sequence[str]) -> bool:
 def _find_header(head: TableHead, lines: list[Line]) -> None:
     """Find the line of names, and that of units, or the names in the line before."""
     # A title of as many words as the table has columns stands before the names of these.
-    while len(lines) > 2 and _are_names(lines[1].cells[: head.width]):
+    while len(lines) > 2 and _are_names(lines[1].cells):
         lines = lines[1:]
     top, *later = lines
-    cells = top.cells[: head.width]
+    cells = top.cells
 
     # Numbers above lines of taxels are the times.
     counts = _count_columns(cells)
     # Labels may stand above each frame of a grid.
-    rows = [line.cells[: head.width] for line in later if line.text != top.text]
+    rows = [line.cells for line in later if line.text != top.text]
     is_repeated = counts and 0 < len(rows) < len(later)
     is_labelled = is_repeated or (bool(rows) and _are_labels(cells, rows))
     is_labelled = is_labelled and (counts or not head.layout.axes)
@@ -163,7 +163,7 @@ def _drop_units(head: TableHead) -> None:
         return
     units, *later = head.data
     rows = [line.cells for line in later]
-    cells = units.cells[: head.width]
+    cells = units.cells
     if _is_header(cells, rows) and not any(map(is_number, cells)):
         head.units = units.text
         head.data = later
@@ -219,7 +219,7 @@ def _are_labels(cells: Sequence[str], rows: Sequence[Sequence[str]]) -> bool:
 
 def _ask_for_label(head: TableHead, first: Line, rows: Sequence[Sequence[str]]) -> None:
     """Raise UnstatedError if a long line of numbers rises, and no line below does."""
-    cells = first.cells[: head.width]
+    cells = first.cells
     if head.layout.axes or not rows or len(cells) < RISING or not _rises(cells):
         return
     if not any(map(_rises, _parts(rows))):
@@ -266,18 +266,19 @@ def _name_by_line_before(head: TableHead, first_number: int) -> None:
     if not earlier:
         return
     text = earlier[-1].strip()
-    is_comment = bool(comment_mark(text))
-    names = head.dialect.cells(text.lstrip("#%/ ") if is_comment else text)
+    mark = comment_mark(text)
+    names = head.dialect.cells(text.lstrip("#%/ ") if mark else text)
+    if len(names) == head.width - 1:
+        names = ["", *names]
+    names = names[: max(head.width, len(names) - 1)]
     n_indexed = sum(bool(re.search(r"\d", name)) for name in names)
-    # A title of so many words has no numbers in most of them.
-    are_words = all(re.fullmatch(r'"?[A-Za-z_][\w.]*"?', name) for name in names)
-    if not is_comment and are_words and 2 * n_indexed > len(names):
-        if len(names) == head.width - 1:
-            names = ["", *names]
-        names = names[: max(head.width, len(names) - 1)]
-        head.headers = (earlier[-1],)
     has_names = n_indexed or any(map(is_time_name, names))
-    if len(names) == head.width and has_names and not any(map(is_number, names)):
+    # A title of so many words has no numbers in most of them.
+    are_names = has_names if mark else 2 * n_indexed > len(names)
+    if (
+        len(names) == head.width
+        and are_names
+        and not any(map(is_value, filter(None, names)))
+    ):
         head.names = tuple(names)
-    else:
-        head.headers = ()
+        head.headers = () if mark else (earlier[-1],)

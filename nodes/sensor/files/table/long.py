@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator, Sequence
 from functools import cached_property
 from typing import Any
@@ -19,14 +20,31 @@ from sparseskin.nodes.sensor.layout.times import is_time_name
 
 from .sample import FRAME_WORDS, LongColumns, Parsed, TableHead
 
-TAXEL_WORDS = (
-    *("taxel", "taxel_id", "sensor", "sensor_id", "channel", "cell", "electrode", "id"),
+TAXEL_WORDS = [
+    "taxel",
+    "taxel_id",
+    "sensor",
+    "sensor_id",
+    "channel",
+    "cell",
+    "electrode",
+    "id",
     "variable",
-)
+]
 """Names of columns that state which taxel a line is of."""
-VALUE_WORDS = (
-    *("value", "val", "v", "force", "pressure", "reading", "data", "count", "counts"),
-)
+VALUE_WORDS = [
+    "value",
+    "val",
+    "v",
+    "force",
+    "pressure",
+    "reading",
+    "data",
+    "count",
+    "counts",
+]
+MAX_SPARSE = 1000
+"""Most taxels per line of a table; chosen: memory is used for each of them."""
 SIDES = ([ROWS, COLS], [TAXELS])
 """What states the place of a taxel."""
 
@@ -146,7 +164,7 @@ class LongFrames:
             numbers = np.concatenate(
                 [part.numbers[:, columns] for part in self._rows()]
             )
-        if not (numbers == np.rint(numbers)).all():
+        if not (np.isfinite(numbers) & (numbers == np.rint(numbers))).all():
             raise SourceError(f"{self._name}: places of taxels are no whole numbers")
         begins = numbers.min(axis=0)
         layout = self._head.layout
@@ -174,6 +192,9 @@ class LongFrames:
 
         # Taxels that have no line in a frame are missing: not 0, which would be a force.
         shape = (len(begins), *sizes)
+        if math.prod(shape) > MAX_SPARSE * len(rows):
+            fault = f"{len(rows)} lines of {math.prod(shape)} taxels"
+            raise SourceError(f"{self._name}: {fault}: most have no line")
         numbers = np.full(shape, np.nan)
         cells = np.ravel_multi_index((frame, *places.T.astype(np.intp)), shape)
         if np.unique(cells).size != len(rows):

@@ -18,7 +18,7 @@ from sparseskin.nodes.sensor.layout.times import clock_ns, iso_ns
 from .text import Dialect
 
 MAX_SHOWN = 8
-FRAME_WORDS = (
+FRAME_WORDS = [
     "frame",
     "frame_id",
     "frame_no",
@@ -27,7 +27,7 @@ FRAME_WORDS = (
     "index",
     "seq",
     "n",
-)
+]
 SUMMARY = re.compile(
     r"mean|average|avg|median|max(?:imum)?|min(?:imum)?|sum|total|count|peak|var(?:iance)?|rms"
     r"|std(?:\.? ?dev)?|s\.?d|standard deviation|\d\d?%"
@@ -92,7 +92,6 @@ class TableHead:
     raw: list[Line] = field(default_factory=list)  # all lines of the begin
     data: list[Line] = field(default_factory=list)  # those of them that hold readings
     n_before: int = 0  # lines before the first one of data
-    has_trailing: bool = False  # a separator ends each line
     is_labelled: bool = False  # the names are positions: a line of 1, 2, 3, ...
     headers: tuple[str, ...] = ()  # the lines of the names
     has_summary: bool = False  # lines below the data may sum them up
@@ -133,10 +132,6 @@ class TableHead:
     def numbers(self, column: int) -> npt.NDArray[np.float64]:
         """Numbers of a column in the sample; NaN where there is none."""
         return numbers_of(self.cells(column))
-
-    def has_width(self, cells: Sequence[str]) -> bool:
-        """True if a line has as many cells as those of data."""
-        return len(cells) in (self.width, self.width + self.has_trailing)
 
     def summary_of(self, cells: Sequence[str]) -> str | None:
         """The word by which a line sums up those above it, "" if its cells are empty; None of

@@ -210,7 +210,7 @@ class TableRecording(Recording):
         if 0 not in (*head.numeric, head.time):
             return True
         cells = head.dialect.cells(text)
-        return head.has_width(cells) or any(map(is_value, cells))
+        return len(cells) == head.width or any(map(is_value, cells))
 
     def _is_grid_row(self, text: str) -> bool:
         """True if a line is one of a grid, perhaps with another number of cells: an error."""
@@ -260,7 +260,7 @@ class TableRecording(Recording):
         if separator is None and columns is not None:
             return None  # NumPy does not check the number of cells
         if separator is not None:
-            if head.has_trailing:
+            if texts[0].count(separator) == head.width:
                 texts = [text.rstrip().removesuffix(separator) for text in texts]
             if any(text.count(separator) != head.width - 1 for text in texts):
                 return None
@@ -296,8 +296,6 @@ class TableRecording(Recording):
     def _cells(self, line: DataLine) -> list[str]:
         head = self._head
         cells = head.dialect.cells(line.text)
-        if head.has_trailing and len(cells) == head.width + 1 and not cells[-1]:
-            cells.pop()
         if len(cells) == head.width:
             return cells
         fault = f"holds {len(cells)} cells; {head.width} are expected"

@@ -77,11 +77,13 @@ class Dialect(NamedTuple):
     has_quotes: bool = False
     names: tuple[str, ...] = ()
     lists: tuple[int, ...] = ()
+    # Cells of a line; an empty one behind them is that of a separator at the end of the line.
+    n_cells: int = 0
 
     @property
     def is_plain(self) -> bool:
         """True if NumPy reads its lines of numbers as they are."""
-        return self == Dialect(self.separator)
+        return self == Dialect(self.separator, n_cells=self.n_cells)
 
     def cells(self, line: str) -> list[str]:
         """The cells of a line."""
@@ -103,7 +105,10 @@ class Dialect(NamedTuple):
             cells = self._values(line)
         if self.comma is not None:
             cells = [cell.replace(",", self.comma) for cell in cells]
-        return prefix + cells
+        cells = prefix + cells
+        if len(cells) == self.n_cells + 1 and not cells[-1]:
+            cells.pop()
+        return cells
 
     def _values(self, line: str) -> list[str]:
         """The cells of what stands behind a prefix; those of a list are apart."""

@@ -506,7 +506,7 @@ def test_columns_without_names_of_a_line_for_each_taxel_are_proposed(tmp_path):
         f"{k},{row},{col},{frames[k, row, col]}" for k, row, col in np.ndindex(5, 2, 3)
     ]
     text = "\n".join(rows) + "\n"
-    with pytest.raises(SourceError, match="; add axes=frames,rows,cols,value$"):
+    with pytest.raises(SourceError, match=r"; add axes=frames,rows,cols,value$"):
         read(tmp_path, text, (2, 3))
     with pytest.raises(SourceError, match="axes = frames,rows,value, of lines of 4"):
         read(tmp_path, text, (2, 3), axes="frames,rows,value")
