@@ -317,10 +317,10 @@ class Stamps:
         return stamps
 
     def check(self, where: str) -> None:
-        """Raise SourceError if most times repeat the one before them: of a clock of whole seconds,
+        """Raise SourceError if many times repeat the one before them: of a clock of whole seconds,
         or a date alone.
         """
-        if self.n > 2 and 2 * self.n_repeated > self.n:
+        if self.n > 2 and 3 * self.n_repeated > self.n:
             fault = f"{self.n_repeated} of {self.n} times repeat the one before"
             raise SourceError(f"{where}: {fault}; state another time, or rate_hz")
 

@@ -171,6 +171,7 @@ def _drop_units(head: TableHead) -> None:
 
 def _are_names(cells: Sequence[str]) -> bool:
     """True if cells are no numbers, and most are names with numbers, or one is that of times."""
+    cells = [cell for cell in cells if cell]
     if any(map(is_value, cells)):
         return False
     n_indexed = sum(bool(re.search(r"\d", cell)) for cell in cells)

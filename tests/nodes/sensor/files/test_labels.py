@@ -510,3 +510,27 @@ def test_columns_without_names_of_a_line_for_each_taxel_are_proposed(tmp_path):
         read(tmp_path, text, (2, 3))
     with pytest.raises(SourceError, match="axes = frames,rows,value, of lines of 4"):
         read(tmp_path, text, (2, 3), axes="frames,rows,value")
+
+
+@FORGIVING
+@given(
+    rate_hz=st.sampled_from([2, 4, 10]),
+    n_seconds=st.integers(2, 3),
+    has_part=st.booleans(),
+    seed=st.integers(0, 1000),
+)
+def test_clocks_of_whole_seconds_are_no_times(
+    tmp_path, rate_hz, n_seconds, has_part, seed
+):
+    frames = readings_of(n_seconds * rate_hz, (1, 3), seed)
+    rows = ["time,ms,s0,s1,s2" if has_part else "time,s0,s1,s2"]
+    for k, line in enumerate(lines_of(frames)):
+        second, part = divmod(k, rate_hz)
+        ms = f"{1000 * part // rate_hz}," if has_part else ""
+        rows.append(f"10:15:{second:02},{ms}{line}")
+    text = "\n".join(rows) + "\n"
+    with pytest.raises(
+        SourceError, match=r"repeat the one before|state time="
+    ) as error:
+        read(tmp_path, text, (1, 3))
+    assert "; add " not in str(error.value)
