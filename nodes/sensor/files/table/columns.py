@@ -39,7 +39,6 @@ from sparseskin.nodes.sensor.layout.times import (
 
 from .sample import (
     FRAME_WORDS,
-    LINES,
     MAX_SHOWN,
     Line,
     TableHead,
@@ -267,7 +266,7 @@ def counters(head: TableHead) -> list[int]:
     """A column at an end of a table without names that counts its lines, which is no taxel. Raises
     UnstatedError if it may be the times, of one frame in a second or a millisecond.
     """
-    has_no_names = not any(head.names) and head.kind == LINES and head.time is None
+    has_no_names = not any(head.names) and head.is_plain and head.time is None
     if not has_no_names or len(head.data) < 3 or len(head.numeric) < 2:
         return []
     counting = {word: k for word, k in _ends(head).items() if _counts(head.numbers(k))}

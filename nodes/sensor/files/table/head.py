@@ -19,9 +19,6 @@ from .columns import ask_for_time, counters, find_times, source_column
 from .labels import find_data
 from .long import long_columns
 from .sample import (
-    GRID,
-    LINES,
-    LONG,
     UNMARKED,
     Line,
     TableHead,
@@ -64,7 +61,7 @@ def read_head(file: File) -> TableHead:
     head.n_before = head.data[0].number - 1
     _find_numeric(head)
     _find_kind(head, bool(file.parts))
-    if head.kind == LINES:
+    if head.is_plain:
         _ask_for_axes(head)
         head.source = source_column(head)
     # What is found in the times has to be that of one skin.
@@ -75,7 +72,7 @@ def read_head(file: File) -> TableHead:
     _find_rate(head)
 
     # The lines of a block have no times of their own.
-    if head.kind == GRID:
+    if head.height:
         _find_titles(head)
     else:
         find_times(head)
@@ -187,11 +184,8 @@ def _find_kind(head: TableHead, has_parts: bool) -> None:
     """Find whether a frame is a line, a block of lines, or a line for each taxel."""
     layout = head.layout
     head.long = long_columns(head)
-    if head.long is not None:
-        head.kind = LONG
-        return
     # It may be stated that a frame is a line.
-    if layout.axes:
+    if head.long is not None or layout.axes:
         return
     n_headers = sum(line.text in head.headers for line in head.raw)
     # Positions above each frame name no columns.
@@ -221,7 +215,6 @@ def _find_kind(head: TableHead, has_parts: bool) -> None:
     else:
         head.n_labels = 0
         return
-    head.kind = GRID
     note = f"a frame is a block of {head.height} lines of {width} readings"
     if head.n_labels:
         note += ", behind the numbers of the rows"

@@ -60,6 +60,7 @@ def _without_summary(head: TableHead, lines: list[Line]) -> list[Line]:
 
 
 def _is_title(line: Line) -> bool:
+    """True if a line is a text, and most of its cells are empty."""
     begin, *rest_of_line = line.cells
     is_text = bool(begin) and not is_value(begin)
     return is_text and 2 * sum(map(bool, rest_of_line)) < len(rest_of_line)
@@ -90,6 +91,11 @@ def _find_levels(head: TableHead, lines: Sequence[Line]) -> bool:
     else:
         return False
 
+    # Frames of a few small numbers count, too: only texts, or an index below, make them names.
+    has_text = any(cell and not is_value(cell) for cell in lines[0].cells)
+    begins = [line.cells[0] for line in lines[: n + 1]]
+    if not has_text and (any(begins[:n]) or not begins[n]):
+        return False
     head.data = list(lines[n:])
     # The line below may name the index.
     if len(head.data) > 1 and _is_title(head.data[0]):

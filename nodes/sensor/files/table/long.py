@@ -104,12 +104,13 @@ class LongFrames:
         self._rows = rows
         self._is_timed = columns.frame == head.time
         keys = head.cells(columns.frame)
-        n_first = next((k for k, key in enumerate(keys) if key != keys[0]), 0)
-        has_names = not {*columns.places} <= {*head.numeric}
-        #: True if the first frame is whole in the begin of the file, and shows the others.
-        self._is_ordered = n_first > 1 and keys[0] not in keys[n_first:]
-        self._is_ordered &= not has_names
-        self._n_first = n_first
+        begins = [k for k, key in enumerate(keys) if k == 0 or key != keys[k - 1]]
+        #: Lines of the first frame.
+        self._n_first = begins[1] if len(begins) > 1 else 0
+        has_numbers = {*columns.places} <= {*head.numeric}
+        # The first frame has to be whole in the begin of the file: it shows the others.
+        is_in_turn = len(begins) == len({*keys}) and self._n_first > 1
+        self._is_ordered = is_in_turn and has_numbers
 
     @cached_property
     def axes(self) -> tuple[Axis, ...]:

@@ -36,10 +36,6 @@ SUMMARY = re.compile(
 UNMARKED = re.compile(r"(?=.*[A-F])(?=.*[0-9])[0-9A-F]{2,}|FF+", re.IGNORECASE)
 """Texts that may be hexadecimal numbers."""
 HEXADECIMAL = re.compile(r"0[xX][0-9a-fA-F]{1,16}")
-LINES = "lines"
-GRID = "grid"
-LONG = "long"
-"""Kinds of tables: a frame a line; a frame a block of lines, one a row; a line for each taxel."""
 
 
 class Line(NamedTuple):
@@ -103,8 +99,7 @@ class TableHead:
     nanoseconds: int | None = None  # column with those of a time in seconds
     time_unit: str = ""
     rate_hz: float | None = None  # as a line before the table states it
-    kind: str = LINES
-    height: int = 1  # lines of a frame of a grid
+    height: int = 0  # lines of a frame of a grid; 0: no grid
     are_numbered: bool = (
         False  # a line of one number stands before each frame of a grid
     )
@@ -115,6 +110,11 @@ class TableHead:
     )  # their names, in a column of texts
     source: int | None = None  # column by which lines of one skin are chosen
     notes: tuple[str, ...] = ()
+
+    @property
+    def is_plain(self) -> bool:
+        """True if a frame is a line, and neither a block of lines nor one for each taxel."""
+        return not self.height and self.long is None
 
     def label(self, column: int) -> str:
         """The name of a column, or its number from 1."""

@@ -35,7 +35,7 @@ from sparseskin.nodes.sensor.layout.times import (
 
 from .head import EXCEL_LINE, read_head
 from .long import LongFrames
-from .sample import GRID, UNMARKED, DataLine, Parsed, is_number, is_value, number_of
+from .sample import UNMARKED, DataLine, Parsed, is_number, is_value, number_of
 from .text import comment_mark, pieces
 
 BLANK = "blank lines"
@@ -73,7 +73,7 @@ class TableRecording(Recording):
         # Axes of a line, of a block of lines, or of the lines of a frame.
         axes: tuple[Axis, ...] = (Axis(head.width, "columns", tuple(head.names)),)
         usable: tuple[int, ...] | None = head.usable
-        if head.kind == GRID:
+        if head.height:
             width = head.width - head.n_labels
             axes = (Axis(head.height, "rows"), Axis(width, "cols"))
             usable = None
@@ -107,7 +107,7 @@ class TableRecording(Recording):
 
     def blocks(self) -> Iterator[Block]:
         self.tally.begin()
-        if self._head.kind == GRID:
+        if self._head.height:
             yield from self._grids()
         elif self._long is not None:
             for block, n_lines in self._long.blocks():
@@ -185,7 +185,7 @@ class TableRecording(Recording):
         # A logger that was started again appends to its file.
         if text in head.headers:
             return "repeated headers"
-        if head.kind == GRID and not self._is_grid_row(text):
+        if head.height and not self._is_grid_row(text):
             return "lines between frames"
         if is_cut and len(head.dialect.cells(text)) < head.width:
             return "cut last line"

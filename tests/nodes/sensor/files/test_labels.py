@@ -534,3 +534,24 @@ def test_clocks_of_whole_seconds_are_no_times(
     ) as error:
         read(tmp_path, text, (1, 3))
     assert "; add " not in str(error.value)
+
+
+@FORGIVING
+@given(
+    shape=st.tuples(st.integers(2, 3), st.integers(2, 3)),
+    n_levels=st.integers(2, 3),
+    has_missing=st.booleans(),
+    seed=st.integers(0, 10_000),
+)
+def test_frames_of_small_numbers_are_no_names(
+    tmp_path, shape, n_levels, has_missing, seed
+):
+    frames = np.random.default_rng(seed).integers(0, n_levels, (6, *shape))
+    frames[-1] = n_levels
+    lines = lines_of(frames)
+    if has_missing:
+        lines[0] = lines[0][1:]
+    text = "\n".join(lines) + "\n"
+    source = read(tmp_path, text, shape, nan="zero")
+    np.testing.assert_array_equal(source.frames[1:], frames[1:])
+    assert len(source.frames) == 6
