@@ -18,8 +18,8 @@ TIMES = [
     "ts",
     "micros",
 ]
-TIMES += ["date", "datetime", "Time", "Timestamp", "date_time"]
-SPACED = ["ts", "Time", "Timestamp", "date_time"]
+TIMES += ["date", "datetime", "Time", "Timestamp", "date_time", "timedelta", "elapsed"]
+SPACED = ["ts", "Time", "Timestamp", "date_time", "timedelta"]
 """Times with spaces."""
 START = datetime(2026, 3, 1, 9, 30, tzinfo=UTC)
 
@@ -54,6 +54,8 @@ def _times(draw, n):
         "Time": [moment.strftime("%I:%M:%S.%f %p") for moment in moments],
         "Timestamp": [moment.strftime("%m/%d/%Y %I:%M:%S.%f %p") for moment in moments],
         "date_time": [moment.strftime("%d-%b-%Y %H:%M:%S.%f") for moment in moments],
+        "timedelta": [f"0 days {moment:%H:%M:%S.%f}" for moment in moments],
+        "elapsed": [moment.strftime("%M:%S.%f") for moment in moments],
         "micros": [str((1000 * each - 50_000) % 2**32) for each in ms],
     }
     return texts[kind], kind, None if kind == "none" else ms / 1000
@@ -94,6 +96,8 @@ def tables(draw):
     values = readings / 4 if has_decimals else readings
 
     columns = [[f"{value:g}" for value in values[:, k]] for k in order]
+    if not has_decimals and draw(st.booleans()):
+        columns = [[f"0x{value:02X}" for value in values[:, k]] for k in order]
     header = [names[k] for k in order]
     if is_named and draw(st.booleans()):
         # A label changes rarely; names that take turns are those of skins (tested apart).
@@ -186,9 +190,12 @@ def logs(draw):
     moments = [START + timedelta(milliseconds=20 * k) for k in range(n)]
     lists = [", ".join(map(str, frame)) for frame in readings]
     clocks = [moment.strftime("%H:%M:%S.%f") for moment in moments]
-    kind = draw(st.sampled_from(["stamp", "label", "list", "array", "numpy", "pairs"]))
+    kinds = ["stamp", "label", "list", "array", "numpy", "pairs", "marks"]
+    kind = draw(st.sampled_from(kinds))
     if kind == "label":
         lines = [f"I ({100 + 20 * k}) SKIN: {cells}" for k, cells in enumerate(lists)]
+    elif kind == "marks":
+        lines = [f"<{20 * k},{cells}>" for k, cells in enumerate(lists)]
     elif kind == "stamp":
         lines = [
             f"[{clock}] {cells}" for clock, cells in zip(clocks, lists, strict=True)
@@ -212,7 +219,7 @@ def logs(draw):
         lines.insert(0, "clock,pressure,battery")
     seconds = 0.02 * np.arange(n)
     stated = {"n_rows": n_rows, "n_cols": n_cols, "unit": "counts"}
-    if kind in ("label", "pairs"):
+    if kind in ("label", "pairs", "marks"):
         stated |= {"time": "1", "time_unit": "ms"}
     frames = readings.reshape(n, n_rows, n_cols).astype("f4")
     return DrawnTable("\n".join(lines) + "\n", frames, seconds, stated)
@@ -229,11 +236,14 @@ def grids(draw):
     begin = draw(st.integers(0, 1))
     has_labels = draw(st.booleans())
     has_positions = has_labels and draw(st.booleans())
+    is_numbered = not has_labels and n > 2 and draw(st.booleans())
     positions = ",".join(["", *(str(begin + k) for k in range(n_cols))])
     lines = []
-    for frame in frames:
+    for number, frame in enumerate(frames):
         if has_positions:
             lines.append(positions)
+        if is_numbered:
+            lines.append(f"{20 * number}")
         for k, row in enumerate(frame):
             label = [str(begin + k)] if has_labels else []
             lines.append(",".join([*label, *map(str, row)]))
@@ -241,4 +251,6 @@ def grids(draw):
     stated = {"unit": "counts"}
     if draw(st.booleans()):
         stated |= {"n_rows": n_rows, "n_cols": n_cols}
+    if is_numbered:
+        stated |= {"time": "none"}
     return DrawnTable("\n".join(lines), frames.astype("f4"), None, stated)

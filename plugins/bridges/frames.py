@@ -14,9 +14,10 @@ from sparseskin.nodes.sensor.layout.times import is_time_name, named_unit
 
 from .cdr import CLOUD
 from .messages.decoding import ENCAPSULATION_BYTES, ORDERS, Decoder, Message
-from .messages.definitions import BASES, HEADER, TIME, Definitions
+from .messages.definitions import HEADER, TIME, Definitions
 from .messages.fields import numbers_at, only_channel, paths_of, value_at
 from .messages.grids import KINDS, EmptyMessageError, Numbers, fields_of
+from .messages.json_messages import message_of
 
 
 class OtherFrameError(SourceError):
@@ -43,6 +44,7 @@ SOURCES = (
     "skin",
     "patch",
     "finger",
+    "frame_id",
 )
 """Members of messages that state which skin they are of."""
 NUMBERED = ("id", "addr", "address", "port", "node")
@@ -141,46 +143,69 @@ class MessageReader:
     SourceError if the definition of the type is not known, or the field of times is none.
     """
 
-    def __init__(self, definitions: Definitions, kind: str, layout: Layout) -> None:
+    def __init__(
+        self, definitions: Definitions | None, kind: str, layout: Layout
+    ) -> None:
         self.kind = kind
         self.field = layout.field
         #: Unit of the times; "" if nothing states it.
         self.time_unit = "ns"
-        self._decode = Decoder(definitions, kind).decode
-        # Lists have no single value that could be a time or a name.
-        kind_of = {
-            member.name: member.kind
-            for member in definitions.members(kind)
-            if member.n_entries is None
-        }
-        self._is_cdr = definitions.ros == 2
-        self._begins_with_header = next(iter(kind_of), "") == "header"
-        self._has_header = kind_of.get("header") == HEADER
-        # A message without a header may state its time in a member of its own.
-        stamps = [name for name in kind_of if kind_of[name] == TIME]
-        numbers = [
-            name for name in kind_of if kind_of[name] in BASES and is_time_name(name)
-        ]
-
-        #: Where the times stand in a message; "" if they are those of the recording.
-        self.time_path = layout.time
-        if layout.time in (LOG, NONE):
-            self.time_path = ""
-        elif not layout.time and self._has_header:
-            self.time_path = STAMP
-        elif not layout.time and len(stamps or numbers) == 1:
-            # Of several, it is not clear which is meant.
-            (self.time_path,) = stamps or numbers
-        self._is_header_time = self.time_path == STAMP
-        self._stated_unit = layout.time_unit
+        #: False of messages in JSON, whose numbers have no types.
+        self.has_types = definitions is not None
+        self._decode = message_of
+        if definitions is not None:
+            self._decode = Decoder(definitions, kind).decode
+        self._is_cdr = definitions is not None and definitions.ros == 2
+        self._layout = layout
         self._frame_id = layout.frame_id
         self._alike: Alike | None = None
+        #: Where the times stand in a message; "" if they are those of the recording; None before
+        #: the first message shows it.
+        self._time_path: str | None = None
+        self._has_header = False
+
+    @property
+    def time_path(self) -> str:
+        """Where the times stand in a message; "" if they are those of the recording."""
+        return self._time_path or ""
+
+    @property
+    def _is_header_time(self) -> bool:
+        return self._time_path == STAMP
 
     def decode(self, data: bytes) -> Message:
         """Read a message. Raises EmptyMessageError if it has no byte, SourceError if it is none."""
         if not data:
             raise EmptyMessageError("holds no byte")
-        return self._decode(data)
+        message = self._decode(data)
+        if self._time_path is None:
+            self._time_path = self._path_of_times(message)
+        return message
+
+    def _path_of_times(self, message: Message) -> str:
+        """Where the times stand in messages like one."""
+        # Lists have no single value that could be a time or a name.
+        stamps = []
+        numbers = []
+        for name, value in message.items():
+            if isinstance(value, Message) and value.kind == TIME:
+                stamps.append(name)
+            elif isinstance(value, int | float) and is_time_name(name):
+                numbers.append(name)
+        header = message.get("header")
+        self._has_header = isinstance(header, Message) and header.kind == HEADER
+        self._begins_with_header = next(iter(message), "") == "header"
+
+        if self._layout.time in (LOG, NONE):
+            return ""
+        if self._layout.time:
+            return self._layout.time
+        if self._has_header:
+            return STAMP
+        # A message without a header may state its time in a member of its own. Of several, it is
+        # not clear which is meant.
+        times = stamps or numbers
+        return times[0] if len(times) == 1 else ""
 
     def read_frame(self, data: bytes) -> Received:
         """Read the numbers of a message. Raises EmptyMessageError if it holds none,
@@ -198,6 +223,8 @@ class MessageReader:
 
     def _alike_of(self, data: bytes, received: Received) -> Alike | None:
         """Messages like one; None if the place of their times is not known."""
+        if not self.has_types:
+            return None
         stamp = ""
         stamp_at = 0
         if self._is_header_time and self._begins_with_header:
@@ -249,7 +276,7 @@ class MessageReader:
         if isinstance(stamp, Message):
             # 0: the header has no stamp.
             return stamp["sec"] * 1_000_000_000 + stamp["nanosec"] or None
-        self.time_unit = self._stated_unit or named_unit(self.time_path)
+        self.time_unit = self._layout.time_unit or named_unit(self.time_path)
         number: int | float = stamp
         return number
 

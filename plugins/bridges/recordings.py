@@ -1,4 +1,4 @@
-"""Recordings of ROS as files of readings: .bag of ROS 1, .db3 and .mcap of ROS 2."""
+"""Recordings of ROS, .bag, .db3 and .mcap, and MCAP files of JSON, as files of readings."""
 
 from __future__ import annotations
 
@@ -140,6 +140,7 @@ class RosRecording(Recording):
             is_timed=self._layout.time != NONE,
             time_unit=time_unit,
             time_name=time_name,
+            asks_unit=not stream.reader.has_types,
             notes=stream.notes,
         )
 
@@ -282,6 +283,13 @@ class RosRecording(Recording):
         return SourceError(f"{self._name}: no topic holds frames; it holds {contents}")
 
     def _reader(self, described: Topic) -> MessageReader:
+        if described.form == "json":
+            return MessageReader(None, described.kind, self._layout)
+        if not described.ros:
+            kind = printable(described.kind)
+            raise SourceError(
+                f"its messages are in {kind}; read are those of ROS, and json"
+            )
         definitions = Definitions(described.ros)
         if described.text:
             try:
@@ -501,7 +509,9 @@ def open_storage(path: str, work: Workspace) -> Storage:
 
 
 def _may_hold_frames(topic: Topic) -> bool:
-    return topic.kind in KINDS or not Definitions(topic.ros).is_of_ros(topic.kind)
+    if not topic.ros or topic.kind in KINDS:
+        return True
+    return not Definitions(topic.ros).is_of_ros(topic.kind)
 
 
 def in_order(messages: Iterator[Recorded]) -> Iterator[Recorded]:

@@ -19,7 +19,6 @@ from sparseskin.nodes.sensor.layout.checks import parse_number, shown
 from sparseskin.nodes.sensor.layout.roles import (
     CHANNEL,
     FRAMES,
-    is_first_apart,
     label_role,
     roles_of,
 )
@@ -51,9 +50,6 @@ MAX_ROWS = 256
 MAX_PART = 3
 """Least length of the axis of the frames by that of a side; chosen: the other way round there would
 be a recording of fewer frames than a third of its rows."""
-MAX_RATIO = 1.5
-"""Largest change from frame to frame by that between neighbouring taxels; chosen: four recordings
-have 0.15 to 0.83, and numbers in no order 1."""
 
 
 class DatasetRecording(Recording):
@@ -239,27 +235,16 @@ class DatasetRecording(Recording):
         # This program writes its own frames so.
         if arrays.last_part(self._key) == FORCES:
             return True
-        if not is_first_apart(axes):
+        n_first, *sizes = [axis.size for axis in axes]
+        sides = {size for size in sizes if size > 1}
+        if n_first == 1:
             return False
-        n_first = axes[0].size
-        sides = [axis.size for axis in axes[1:] if axis.size > 1]
+        # One side, or a square: frames along another axis would be as many as its rows.
+        if len(sides) < 2 and len(axes) < 4 and n_first not in sides:
+            return True
         is_stated = bool(self._layout.axes) or self._layout.n_stated is not None
-        if (
-            is_stated
-            or len(sides) < 2
-            or n_first >= min(MAX_ROWS, MAX_PART * max(sides))
-        ):
-            return True
-        if len(axes) > 3 or len(set(sides)) > 1:
-            return False
-        # Of another order there are as many frames as rows: an accident, unless the numbers
-        # change more from frame to frame than from taxel to taxel.
-        size = frames_per_block(math.prod(sides))
-        begin = next(arrays.blocks(self._key, 0, max(2, size)), None)
-        if begin is None:
-            return True
-        along_frames, *along_others = _changes(begin)
-        return along_frames <= MAX_RATIO * min(along_others)
+        n_least = 1 if is_stated else MAX_PART
+        return n_first > n_least * max(sides) or n_first >= MAX_ROWS > max(sides)
 
     def _find_time_column(self) -> None:
         """Find the column of a table that holds the times, as in a table of text. Raises
@@ -410,17 +395,6 @@ class DatasetRecording(Recording):
         item_sides = [axis.size for axis in self._items]
         whole = np.broadcast_to(exists.reshape(sizes), item_sides)
         return whole.astype(np.bool_)
-
-
-def _changes(numbers: npt.NDArray[Any]) -> list[float]:
-    """Mean differences of neighbours along each axis of an array, 0 of an axis without any."""
-    changes = []
-    for axis in range(numbers.ndim):
-        # float64: unsigned counts would wrap.
-        steps = np.abs(np.diff(numbers.astype(np.float64), axis=axis))
-        finite = steps[np.isfinite(steps)]
-        changes.append(float(finite.mean()) if finite.size else 0.0)
-    return changes
 
 
 def number_of(value: Any) -> float | None:

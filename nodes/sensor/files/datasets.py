@@ -46,8 +46,6 @@ MAX_ARRAYS = 4096
 """Arrays of a file that are looked at, chosen."""
 MAX_SHOWN = 8
 NO_TIMES = "none"
-MIN_RISING = 8
-"""Least numbers that are looked at; chosen: eight without a trend rise once in 40,000."""
 MAX_PROPERTY_BYTES = 64 * MAX_ELEMENTS
 """Largest array of a property: points of a skin, six float64 for each taxel, with a margin."""
 
@@ -274,11 +272,11 @@ def _ask_for_times(arrays: ArrayFile, frames: str, n_frames: int) -> None:
         if not is_of_frames or key == frames or dataset.dtype.kind not in "iuf":
             continue
         numbers = arrays.property_array(key).reshape(-1)
-        if n_frames > MIN_RISING and times.are_likely(numbers):
+        if times.are_likely(numbers, times.SAME_STEPS):
             rising.append(key)
-    if rising:
+    if rising and n_frames >= times.FEW_RISING:
         fault = f"{arrays.name}: a number for each frame rises, and is named as no time"
-        raise UnstatedError.between(fault, "time", rising, "time=none")
+        raise times.which_times(fault, rising, n_frames)
 
 
 def _words(key: str) -> list[str]:

@@ -56,8 +56,9 @@ def open_table(file: File) -> Recording:
     axes = file.layout.axis_names
     if axes == ("taxels", "frames"):
         return TransposedTable(file)
-    if axes not in ((), ("frames", "taxels")):
-        fault = f"axes = {file.layout.axes}; allowed for a table: taxels,frames or frames,taxels"
+    if axes not in ((), ("frames", "taxels")) and "value" not in axes:
+        ways = "taxels,frames or frames,taxels or frames,rows,cols,value"
+        fault = f"axes = {file.layout.axes}; allowed for a table: {ways}"
         raise SourceError(f"{file.name}: {fault}")
     return TableRecording(file)
 

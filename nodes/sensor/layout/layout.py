@@ -30,8 +30,8 @@ ORDERS = ("rows", "columns")
 TIME_UNITS = ("", "ns", "us", "ms", "s", "d", "clock")
 """Units of times; clock: hours, minutes and seconds of a day, which begins again at midnight; d:
 days, as a spreadsheet or MATLAB counts them."""
-AXES = ("frames", "rows", "cols", "taxels", "channel", "-")
-"""Names of the axes of an array; -: an axis of one entry."""
+AXES = ("frames", "rows", "cols", "taxels", "channel", "-", "value")
+"""Names of the axes of an array; -: an axis of one entry; value: a column of a table."""
 ENDS = ("first", "last")
 """Columns of times, beside numbers."""
 NUMBERS_AS_TEXTS = ("columns", "channel", "time", "missing")
@@ -118,7 +118,7 @@ class Layout(GridLayout):
         "",
         "axes of an array in their order, as rows,cols,frames; of frames, rows, cols, taxels, "
         "channel, and - for an axis of one entry; of a table with a line for each taxel: "
-        "taxels,frames",
+        "taxels,frames; with a line for each taxel of each frame: frames,rows,cols,value",
     )
     columns: str = setting(
         "",

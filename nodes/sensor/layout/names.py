@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from fnmatch import fnmatchcase
 from itertools import chain
 
@@ -20,6 +20,11 @@ AXIS = re.compile(r"(?:^|(?<=[^a-z]))[ft]?([xyz])(?=$|[^a-z])")
 ROW_WORDS = ("r", "row", "rows", "y", "line")
 COL_WORDS = ("c", "col", "cols", "column", "x")
 MAX_SHOWN = 6
+LONG_FORMS = {
+    3: ("frames,taxels,value",),
+    4: ("frames,rows,cols,value", "frames,cols,rows,value"),
+}
+"""`axes` of tables with a line for each taxel, by the number of their columns."""
 
 
 Family = tuple[str, str]
@@ -163,7 +168,11 @@ def _chosen(
     if n_stated is not None and not ways:
         needed = f"n_rows x n_cols = {layout.n_rows} x {layout.n_cols} needs {n_stated}"
         hint = "state columns, or another shape"
-        raise SourceError(f"{where}: {about}, but {needed}; {hint}")
+        forms = LONG_FORMS.get(len(names), ()) if not any(names) else ()
+        if forms:
+            hint += f", or axes={forms[0]} if a line is of one taxel"
+        options = [{"axes": form} for form in forms]
+        raise UnstatedError(f"{where}: {about}, but {needed}; {hint}", *options)
     texts = [_as_text(names, columns) for columns in ways]
     hint = "columns, or n_rows and n_cols"
     if n_stated is not None:
@@ -203,20 +212,36 @@ def _placed(
     layout: Layout, names: Sequence[str], columns: list[int], notes: tuple[str, ...]
 ) -> Selection:
     """The columns in the order of the numbers in their names, and their places in a grid."""
-    patterns = {pattern_of(names[k]) for k in columns}
-    if len(patterns) != 1 or "#" not in next(iter(patterns)):
+    patterns = [pattern_of(names[k]) for k in columns]
+    families = list(dict.fromkeys(patterns))
+    if not all("#" in family for family in families):
         return Selection(tuple(columns), None, notes)
 
     numbers: dict[int, tuple[int, ...]] = {}
     for k in columns:
         texts = re.findall(r"\d+", names[k])
         numbers[k] = tuple(map(int, texts))
-    varying = _grid_numbers(names[columns[0]], [numbers[k] for k in columns])
+    if len(families) > 1:
+        # As A1, A2, B1, B2: names before their number are one side, if the shape is so.
+        pairs = [
+            (families.index(pattern), numbers[k][-1])
+            for k, pattern in zip(columns, patterns, strict=True)
+        ]
+        grid = _grid(layout, columns, pairs, ("", ""))
+        is_stated = grid is not None and grid.shape == (layout.n_rows, layout.n_cols)
+        if grid is not None and is_stated and layout.order == "rows":
+            return replace(grid, notes=(*notes, *grid.notes))
+        return Selection(tuple(columns), None, notes)
 
+    name = names[columns[0]]
+    varying = _grid_numbers(name, [numbers[k] for k in columns])
     if len(varying) == 2:
-        grid = _grid(layout, names[columns[0]], numbers, varying)
+        outer_at, inner_at = varying
+        words = _words(name)
+        pairs = [(numbers[k][outer_at], numbers[k][inner_at]) for k in columns]
+        grid = _grid(layout, columns, pairs, (words[outer_at], words[inner_at]))
         if grid is not None:
-            return Selection(grid.columns, grid.shape, (*notes, *grid.notes))
+            return replace(grid, notes=(*notes, *grid.notes))
 
     # By number, not by text: s10 comes after s9.
     by_number = sorted(columns, key=numbers.__getitem__)
@@ -253,23 +278,21 @@ def _grid_numbers(name: str, numbers: Sequence[tuple[int, ...]]) -> list[int]:
 
 
 def _grid(
-    layout: Layout, name: str, numbers: dict[int, tuple[int, ...]], varying: list[int]
+    layout: Layout,
+    columns: Sequence[int],
+    pairs: Sequence[tuple[int, int]],
+    words: tuple[str, str],
 ) -> Selection | None:
-    """Columns row after row, where two numbers in each name are a row and a column, and fill a
-    grid; None where they do not, or where nothing states which is which.
+    """Columns row after row, where two numbers of each name, behind `words`, are a row and a
+    column, and fill a grid; None where they do not, or where nothing states which is which.
     """
-    outer_at, inner_at = varying
-    pairs = {
-        (of_name[outer_at], of_name[inner_at]): k for k, of_name in numbers.items()
-    }
     n_outer = len({outer for outer, _ in pairs})
     n_inner = len({inner for _, inner in pairs})
-    if len(pairs) != len(numbers) or n_outer * n_inner != len(pairs):
+    column_of = dict(zip(pairs, columns, strict=True))
+    if not n_outer * n_inner == len(column_of) == len(columns):
         return None
 
-    words = _words(name)
-    outer_word = words[outer_at]
-    inner_word = words[inner_at]
+    outer_word, inner_word = words
     is_labelled = outer_word in ROW_WORDS and inner_word in COL_WORDS
     is_labelled |= outer_word in COL_WORDS and inner_word in ROW_WORDS
     if inner_word and not is_labelled:
@@ -284,12 +307,12 @@ def _grid(
         is_reversed = stated_shape == (n_inner, n_outer) != (n_outer, n_inner)
         rows_first = not is_reversed
         order = "row, column" if rows_first else "column, row"
-        notes = (f"the numbers in the names are {order}",)
+        notes = (f"the parts of the names are {order}",)
     shape = (n_outer, n_inner) if rows_first else (n_inner, n_outer)
     side = 0 if rows_first else 1
 
     ordered = sorted(pairs, key=lambda pair: (pair[side], pair[1 - side]))
-    return Selection(tuple(pairs[pair] for pair in ordered), shape, notes)
+    return Selection(tuple(column_of[pair] for pair in ordered), shape, notes)
 
 
 def _as_text(names: Sequence[str], columns: Sequence[int]) -> str:

@@ -22,7 +22,8 @@ COLS = "cols"
 TAXELS = "taxels"
 CHANNEL = "channel"
 NONE = "-"
-"""Roles of an axis; none: it has one entry."""
+VALUE = "value"
+"""Roles of an axis; none: it has one entry; value: a column of a table."""
 Roles = tuple[str, ...]
 FIRST: Roles = (FRAMES,)
 """Begin of the roles of an array whose first axis is that of the frames."""
@@ -128,8 +129,8 @@ def _labelled(layout: Layout, axes: Sequence[Axis], has_frames: bool) -> list[Ro
     of preference.
     """
     stated = layout.axis_names
-    # Labels of the file hold where nothing is stated.
-    if not stated:
+    # Labels of the file hold where nothing is stated, or the columns of its lines are.
+    if not stated or VALUE in stated:
         possible = _assignments(axes, has_frames)
         return [roles for roles in possible if _allow(axes, roles)]
     if not has_frames:
@@ -283,14 +284,3 @@ def _may_hold(channel: str, size: int) -> bool:
     if channel.isdecimal():
         return int(channel) < size
     return channel.lower() not in XYZ or size == len(XYZ)
-
-
-def is_first_apart(axes: Sequence[Axis]) -> bool:
-    """True if the first axis is longer than the others, or the others are one, or a square, of
-    another side. A single entry may be a frame, or a row.
-    """
-    n_first, *sizes = [axis.size for axis in axes]
-    sides = [size for size in sizes if size > 1]
-    are_alike = len(sides) == 1 or (len(axes) == 3 and len(set(sides)) == 1)
-    is_of_others = are_alike and n_first not in sides
-    return n_first != 1 and (is_of_others or all(size < n_first for size in sizes))

@@ -25,6 +25,7 @@ from sparseskin.nodes.recorder.bag.records import (
 )
 from sparseskin.nodes.sensor.layout.checks import reading
 from sparseskin.plugins.bridges.messages.definitions import full_name
+from sparseskin.plugins.bridges.messages.json_messages import KIND as JSON_KIND
 
 from .chunks import ChunkedStorage, begin_of_chunk
 from .storage import Topic
@@ -103,11 +104,14 @@ class McapStorage(ChunkedStorage):
         elif record.opcode == Opcode.CHANNEL:
             channel = record.parsed(mcap.records.Channel.read)
             encoding = channel.message_encoding
-            described = Topic(encoding)
+            schema = self._schemas.get(channel.schema_id, Topic(""))
             # A topic of another encoding is listed by that, and never read as ROS.
+            described = Topic(encoding, form="", ros=0)
             if encoding in VERSIONS:
-                schema = self._schemas.get(channel.schema_id, Topic(""))
                 described = schema._replace(ros=VERSIONS[encoding])
+            elif encoding == "json":
+                kind = f"{JSON_KIND} {schema.kind}".strip()
+                described = Topic(kind, form="json", ros=0)
             self.connections[channel.id] = (channel.topic, described)
 
 

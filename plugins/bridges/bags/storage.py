@@ -34,7 +34,7 @@ CONVERT = "compressed: ros2 bag convert writes it plain"
 
 class Topic(NamedTuple):
     """Type of the messages on a topic, and its definition, in the form "msg" or "idl"; "" where the
-    file has none. `ros`: the version of ROS whose bytes they are.
+    file has none. `ros`: the version of ROS whose bytes they are; 0: none, the form "json" or "".
     """
 
     kind: str

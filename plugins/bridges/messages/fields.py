@@ -293,6 +293,10 @@ def _joined(walked: _Walked) -> Numbers:
     """Numbers whose axes are labelled, or one."""
     axes = walked.axes
     n = walked.values.size
+    # Lists within a list, as of JSON, are axes of the layout.
+    if len({axis.label for axis in axes}) < len(axes):
+        axes = tuple(Axis(axis.size) for axis in axes)
+        return Numbers(walked.values, axes)
     # Axes that nothing names are one, in the order of the message.
     has_labels = any(axis.label.lower() in (*ROW_LABELS, *COL_LABELS) for axis in axes)
     if len(axes) < 2 or not has_labels:

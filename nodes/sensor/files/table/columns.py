@@ -22,7 +22,10 @@ from sparseskin.nodes.sensor.layout.names import (
 )
 from sparseskin.nodes.sensor.layout.times import (
     CLOCK_UNIT,
+    FEW_RISING,
     ISO,
+    RISING,
+    SAME_STEPS,
     are_likely,
     clock_ns,
     dated_clock_ns,
@@ -30,11 +33,12 @@ from sparseskin.nodes.sensor.layout.times import (
     is_time_name,
     iso_ns,
     named_unit,
+    rise,
+    which_times,
 )
 
 from .sample import (
     FRAME_WORDS,
-    LINES,
     MAX_SHOWN,
     Line,
     TableHead,
@@ -42,18 +46,25 @@ from .sample import (
 )
 from .text import Dialect
 
-RISING_LINES = 8
-"""Least lines in which times rise; chosen: eight readings without a trend rise once in 40,000."""
-EVEN_LINES = 4
-SAME_STEPS = 1.001
-"""Least lines, and ratio of their steps, in which a column that nothing names looks like times."""
 MAX_UNEVEN = 5.0
-"""The same of a column at an end, where the shape shows that one is no taxel; chosen: a frame may
-be late."""
-SOURCE_WORDS = (
-    *("side", "hand", "foot", "finger", "sensor", "sensor_id", "sensor_name", "device"),
-    *("device_id", "skin", "patch", "mat", "board", "module"),
-)
+"""Largest ratio of the steps of times in a few lines, of a column at an end, where the shape shows
+that one is no taxel; chosen: a frame may be late."""
+SOURCE_WORDS = [
+    "side",
+    "hand",
+    "foot",
+    "finger",
+    "sensor",
+    "sensor_id",
+    "sensor_name",
+    "device",
+    "device_id",
+    "skin",
+    "patch",
+    "mat",
+    "board",
+    "module",
+]
 """Names of columns that state which skin a line is of."""
 MAX_ROWS = 100
 """Rows of numbers that are looked at, chosen."""
@@ -186,14 +197,14 @@ def _time_at_an_end(head: TableHead) -> int | None:
     and is the only one of the two that rises.
     """
     is_one_more = len(head.numeric) - 1 == head.layout.n_stated
-    if head.header or head.layout.columns or not is_one_more or len(head.data) < 2:
+    if head.headers or head.layout.columns or not is_one_more or len(head.data) < 2:
         return None
     rising = {}
     for word, k in _ends(head).items():
-        if _rises(head.numbers(k)):
+        if rise(head.numbers(k)):
             rising[word] = k
     # In a few lines a reading may rise, too, but not in even steps.
-    are_clear = all(_rises(head.numbers(k), MAX_UNEVEN) for k in rising.values())
+    are_clear = all(rise(head.numbers(k), MAX_UNEVEN) for k in rising.values())
     if len(rising) > 1 or not are_clear:
         verb = "rise" if len(rising) > 1 else "rises"
         fault = f"{head.name}: the {' and the '.join(rising)} column {verb}"
@@ -206,16 +217,6 @@ def _time_at_an_end(head: TableHead) -> int | None:
     return None
 
 
-def _rises(numbers: npt.NDArray[np.float64], max_uneven: float = np.inf) -> bool:
-    """True if numbers rise in all lines; of a few lines, in steps of about one size."""
-    steps = np.diff(numbers)
-    if not ((steps >= 0).all() and (steps > 0).any()):
-        return False
-    if len(numbers) >= RISING_LINES or np.isinf(max_uneven):
-        return True
-    return len(steps) > 1 and bool(steps.max() <= max_uneven * steps.min())
-
-
 def _ends(head: TableHead) -> dict[str, int]:
     """The first and the last column of numbers, as `time` states them."""
     return {"first": head.numeric[0], "last": head.numeric[-1]}
@@ -226,28 +227,34 @@ def _ask_for_times(head: TableHead) -> None:
 
     A column whose name has a number, or that is stated, is a taxel; one that rises by 1 counts.
     """
-    n_least = EVEN_LINES if any(head.names) else RISING_LINES
+    n_least = FEW_RISING if any(head.names) else RISING
     if len(head.data) < n_least:
         return
     taxels = stated_columns(head.layout.columns, head.names, head.width, head.name)
     rising = []
     for k in head.numeric:
         is_named = head.is_indexed(k) or head.names[k].lower() in FRAME_WORDS
-        numbers = head.numbers(k)
-        if k in taxels or is_named or not _rises(numbers, SAME_STEPS):
-            continue
-        if are_likely(numbers):
+        if k not in taxels and not is_named and are_likely(head.numbers(k), SAME_STEPS):
             rising.append(k)
     # Where all columns rise, it is the load that does.
     if not rising or len(rising) == len(head.numeric):
         return
     columns = "column rises" if len(rising) == 1 else "columns rise"
     fault = f"{head.name}: {len(rising)} {columns} in all lines"
-    keys = _keys(head, rising)
-    if len(head.data) < RISING_LINES:
-        raise UnstatedError.between(fault, "time", [*keys, "none"])
-    otherwise = "time=none, if these are no times"
-    raise UnstatedError.between(fault, "time", keys, otherwise)
+    raise which_times(fault, _keys(head, rising), len(head.data))
+
+
+def ask_for_time(head: TableHead, frame: int) -> None:
+    """Raise UnstatedError if a column that states frames holds other numbers than whole ones, and
+    is not read as times.
+    """
+    numbers = head.numbers(frame)
+    is_decided = head.time is not None or head.layout.time or head.layout.rate_hz
+    if not is_decided and not (numbers == np.rint(numbers)).all():
+        fault = (
+            f"{head.name}: column {head.label(frame)} numbers frames, or is the times"
+        )
+        raise UnstatedError.between(fault, "time", [*_keys(head, [frame]), "none"])
 
 
 def _keys(head: TableHead, columns: Sequence[int]) -> list[str]:
@@ -259,7 +266,7 @@ def counters(head: TableHead) -> list[int]:
     """A column at an end of a table without names that counts its lines, which is no taxel. Raises
     UnstatedError if it may be the times, of one frame in a second or a millisecond.
     """
-    has_no_names = not any(head.names) and head.kind == LINES and head.time is None
+    has_no_names = not any(head.names) and head.is_plain and head.time is None
     if not has_no_names or len(head.data) < 3 or len(head.numeric) < 2:
         return []
     counting = {word: k for word, k in _ends(head).items() if _counts(head.numbers(k))}
@@ -307,8 +314,9 @@ def _takes_turns(head: TableHead, k: int) -> bool:
     cells = head.cells(k)
     skins = list(dict.fromkeys(cells))
     n = len(skins)
-    is_place = last_part(head.names[k]) in (*ROW_WORDS, *COL_WORDS, "variable")
-    if is_place or not 1 < n <= MAX_SKINS or n == len(cells):
+    name = last_part(head.names[k])
+    is_no_skin = name in (*ROW_WORDS, *COL_WORDS) or is_time_name(name)
+    if is_no_skin or not 1 < n <= MAX_SKINS or n == len(cells):
         return False
     if k in head.numeric:
         # Numbers that repeat may be readings of a coarse converter; a round is no accident.

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import NamedTuple
@@ -9,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from sparseskin.nodes.sensor.layout.arrangement import Axis
+from sparseskin.nodes.numerics.arrays import Doubles
 from sparseskin.nodes.sensor.layout.checks import is_missing, shown
 from sparseskin.nodes.sensor.layout.layout import Layout
 from sparseskin.nodes.sensor.layout.times import clock_ns, iso_ns
@@ -17,7 +18,7 @@ from sparseskin.nodes.sensor.layout.times import clock_ns, iso_ns
 from .text import Dialect
 
 MAX_SHOWN = 8
-FRAME_WORDS = (
+FRAME_WORDS = [
     "frame",
     "frame_id",
     "frame_no",
@@ -26,16 +27,15 @@ FRAME_WORDS = (
     "index",
     "seq",
     "n",
+]
+SUMMARY = re.compile(
+    r"mean|average|avg|median|max(?:imum)?|min(?:imum)?|sum|total|count|peak|var(?:iance)?|rms"
+    r"|std(?:\.? ?dev)?|s\.?d|standard deviation|\d\d?%"
 )
-TAXEL_WORDS = (
-    *("taxel", "taxel_id", "sensor", "sensor_id", "channel", "cell", "electrode", "id"),
-    "variable",
-)
-"""Names of columns that state which taxel a line is of."""
-LINES = "lines"
-GRID = "grid"
-LONG = "long"
-"""Kinds of tables: a frame a line; a frame a block of lines, one a row; a line for each taxel."""
+"""Words in small letters that name lines below a table which sum it up."""
+UNMARKED = re.compile(r"(?=.*[A-F])(?=.*[0-9])[0-9A-F]{2,}|FF+", re.IGNORECASE)
+"""Texts that may be hexadecimal numbers."""
+HEXADECIMAL = re.compile(r"0[xX][0-9a-fA-F]{1,16}")
 
 
 class Line(NamedTuple):
@@ -46,27 +46,35 @@ class Line(NamedTuple):
     cells: Sequence[str]
 
 
-class Place(NamedTuple):
-    """A column of rows, columns or taxels, its least number, and how many there are."""
-
-    column: int
-    begin: int
-    size: int
-
-
 class LongColumns(NamedTuple):
-    """Columns of a table with a line for each taxel: of row and column, or of the taxel alone."""
+    """Columns of a table with a line for each taxel."""
 
     frame: int  # a number, or the time
-    places: tuple[Place, ...]
+    places: tuple[int, ...]  # row and column, or the taxel alone
     value: int
 
     @property
-    def axes(self) -> tuple[Axis, ...]:
-        """Axes of a frame."""
-        labels = ("taxels",) if len(self.places) == 1 else ("rows", "cols")
-        sizes = [place.size for place in self.places]
-        return tuple(map(Axis, sizes, labels))
+    def columns(self) -> tuple[int, ...]:
+        """All of them."""
+        return (self.frame, *self.places, self.value)
+
+
+class DataLine(NamedTuple):
+    """A line of data: its text, its number in the file, and whether something else stands between
+    it and the one before.
+    """
+
+    text: str
+    number: int
+    begins: bool
+
+
+class Parsed(NamedTuple):
+    """Lines of data, their numbers (k, width), NaN where there is none, and their times."""
+
+    lines: Sequence[DataLine]
+    numbers: Doubles
+    times: list[int | float] | None
 
 
 @dataclass
@@ -80,9 +88,9 @@ class TableHead:
     raw: list[Line] = field(default_factory=list)  # all lines of the begin
     data: list[Line] = field(default_factory=list)  # those of them that hold readings
     n_before: int = 0  # lines before the first one of data
-    has_trailing: bool = False  # a separator ends each line
     is_labelled: bool = False  # the names are positions: a line of 1, 2, 3, ...
-    header: str = ""  # the line of the names
+    headers: tuple[str, ...] = ()  # the lines of the names
+    has_summary: bool = False  # lines below the data may sum them up
     units: str = ""  # the line of units
     names: Sequence[str] = ()
     usable: tuple[int, ...] = ()  # columns of numbers that are no times
@@ -91,12 +99,22 @@ class TableHead:
     nanoseconds: int | None = None  # column with those of a time in seconds
     time_unit: str = ""
     rate_hz: float | None = None  # as a line before the table states it
-    kind: str = LINES
-    height: int = 1  # lines of a frame of a grid
+    height: int = 0  # lines of a frame of a grid; 0: no grid
+    are_numbered: bool = (
+        False  # a line of one number stands before each frame of a grid
+    )
     n_labels: int = 0  # columns before its readings: the numbers of the rows
     long: LongColumns | None = None
+    taxels: dict[str, int] = field(
+        default_factory=dict
+    )  # their names, in a column of texts
     source: int | None = None  # column by which lines of one skin are chosen
     notes: tuple[str, ...] = ()
+
+    @property
+    def is_plain(self) -> bool:
+        """True if a frame is a line, and neither a block of lines nor one for each taxel."""
+        return not self.height and self.long is None
 
     def label(self, column: int) -> str:
         """The name of a column, or its number from 1."""
@@ -115,23 +133,34 @@ class TableHead:
         """Numbers of a column in the sample; NaN where there is none."""
         return numbers_of(self.cells(column))
 
-    def has_width(self, cells: Sequence[str]) -> bool:
-        """True if a line has as many cells as those of data."""
-        return len(cells) in (self.width, self.width + self.has_trailing)
+    def summary_of(self, cells: Sequence[str]) -> str | None:
+        """The word by which a line sums up those above it, "" if its cells are empty; None of
+        others.
+        """
+        for cell in (cells[0], cells[-1]):
+            word = cell.strip(" .:").lower()
+            if SUMMARY.fullmatch(word):
+                return word
+        return None if any(cells) else ""
 
 
 def numbers_of(cells: Sequence[str]) -> npt.NDArray[np.float64]:
     """Numbers of cells, NaN for other texts."""
-    return np.array([float(cell) if is_number(cell) else np.nan for cell in cells])
+    numbers = (number_of(cell) for cell in cells)
+    return np.array([np.nan if number is None else number for number in numbers])
+
+
+def number_of(cell: str) -> float | None:
+    """The number in a cell; None if it is none, or one of Python's literals such as 1_0."""
+    try:
+        return None if "_" in cell else float(cell)
+    except ValueError:
+        return float(int(cell, 16)) if HEXADECIMAL.fullmatch(cell) else None
 
 
 def is_number(cell: str) -> bool:
-    """True if a cell is a number; not one of Python's literals such as 1_0."""
-    try:
-        float(cell)
-    except ValueError:
-        return False
-    return "_" not in cell
+    """True if a cell is a number."""
+    return number_of(cell) is not None
 
 
 def is_value(cell: str) -> bool:

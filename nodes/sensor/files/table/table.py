@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Iterator, Sequence
-from typing import IO, NamedTuple
+from typing import IO
 
 import numpy as np
-import numpy.typing as npt
 
 from sparseskin.nodes.errors import SourceError
 from sparseskin.nodes.numerics.arrays import Doubles
@@ -36,33 +34,16 @@ from sparseskin.nodes.sensor.layout.times import (
 )
 
 from .head import EXCEL_LINE, read_head
-from .sample import GRID, LONG, is_number, is_value
-from .text import COMMENTS, pieces
+from .long import LongFrames
+from .sample import UNMARKED, DataLine, Parsed, is_number, is_value, number_of
+from .text import comment_mark, pieces
 
-HEXADECIMAL = re.compile(
-    r"0[xX][0-9a-fA-F]+|(?=[0-9A-F]*[A-F])(?=[A-F]*[0-9])[0-9A-F]{2,}|FF+"
-)
 BLANK = "blank lines"
+BELOW = "summary line: "
+EMPTY = "lines of empty cells"
+"""Begin of the name by which a line below the readings is dropped, and that of lines of no text."""
 EXACT = float(1 << 53)
 """Largest whole number up to which float64 has all."""
-
-
-class DataLine(NamedTuple):
-    """A line of data: its text, its number in the file, and whether something else stands between
-    it and the one before.
-    """
-
-    text: str
-    number: int
-    begins: bool
-
-
-class Parsed(NamedTuple):
-    """Lines of data, their numbers (k, width), NaN where there is none, and their times."""
-
-    lines: Sequence[DataLine]
-    numbers: Doubles
-    times: list[int | float] | None
 
 
 class TableRecording(Recording):
@@ -80,6 +61,9 @@ class TableRecording(Recording):
         self._layout = file.layout
         self._head = read_head(file)
         self.tally = Tally("lines")
+        self._long = None
+        if self._head.long is not None:
+            self._long = LongFrames(self._head, self._head.long, self._rows)
 
     def head(self) -> Head:
         head = self._head
@@ -89,12 +73,12 @@ class TableRecording(Recording):
         # Axes of a line, of a block of lines, or of the lines of a frame.
         axes: tuple[Axis, ...] = (Axis(head.width, "columns", tuple(head.names)),)
         usable: tuple[int, ...] | None = head.usable
-        if head.kind == GRID:
+        if head.height:
             width = head.width - head.n_labels
             axes = (Axis(head.height, "rows"), Axis(width, "cols"))
             usable = None
-        elif head.long is not None:
-            axes = head.long.axes
+        elif self._long is not None:
+            axes = self._long.axes
             usable = None
         return Head(
             axes,
@@ -123,10 +107,12 @@ class TableRecording(Recording):
 
     def blocks(self) -> Iterator[Block]:
         self.tally.begin()
-        if self._head.kind == GRID:
+        if self._head.height:
             yield from self._grids()
-        elif self._head.kind == LONG:
-            yield from self._long()
+        elif self._long is not None:
+            for block, n_lines in self._long.blocks():
+                self.tally.take(n_lines, len(block.numbers))
+                yield from block.parts()
         else:
             for _, numbers, times in self._rows():
                 self.tally.take(len(numbers), len(numbers))
@@ -150,6 +136,8 @@ class TableRecording(Recording):
         self, file: IO[bytes], name: str, n_before: int
     ) -> Iterator[list[DataLine]]:
         begins = True
+        # Lines that sum the table up, each once; no readings may follow.
+        below: set[str] = set()
         for piece in pieces(file, name):
             lines: list[DataLine] = []
             last_number = piece.number + len(piece.lines) - 1
@@ -161,6 +149,13 @@ class TableRecording(Recording):
                     label = self._dropped_as(
                         text, piece.is_cut and number == last_number
                     )
+                if below and (not label or label in below - {EMPTY}):
+                    fault = (
+                        f"is below a line that would be left out, {next(iter(below))}"
+                    )
+                    raise SourceError(f"{name}, line {number}: {fault}; remove that")
+                if label == EMPTY or label.startswith(BELOW):
+                    below.add(label)
                 if label:
                     self.tally.drop(label)
                 else:
@@ -175,7 +170,7 @@ class TableRecording(Recording):
         if number <= self._layout.skip:
             return "skipped lines"
         label = _empty_as(text)
-        if label != BLANK and text == self._head.header:
+        if label != BLANK and text in self._head.headers:
             return "header"
         if label != BLANK and text == self._head.units:
             return "line of units"
@@ -188,12 +183,16 @@ class TableRecording(Recording):
         if label:
             return label
         # A logger that was started again appends to its file.
-        if text == head.header:
+        if text in head.headers:
             return "repeated headers"
-        if head.kind == GRID and not self._is_grid_row(text):
+        if head.height and not self._is_grid_row(text):
             return "lines between frames"
         if is_cut and len(head.dialect.cells(text)) < head.width:
             return "cut last line"
+        if head.has_summary and _may_sum_up(text):
+            word = head.summary_of(head.dialect.cells(text))
+            if word is not None:
+                return BELOW + word if word else EMPTY
         # What a board prints while it starts.
         if text[0].isalpha() and not self._may_be_data(text):
             return "lines of text"
@@ -211,11 +210,14 @@ class TableRecording(Recording):
         if 0 not in (*head.numeric, head.time):
             return True
         cells = head.dialect.cells(text)
-        return head.has_width(cells) or any(map(is_value, cells))
+        return len(cells) == head.width or any(map(is_value, cells))
 
     def _is_grid_row(self, text: str) -> bool:
         """True if a line is one of a grid, perhaps with another number of cells: an error."""
         stripped = text.strip()
+        # A row of which one number is left is noticed by the height of its frame.
+        if self._head.are_numbered and is_number(stripped):
+            return False
         begins_row = stripped[0].isdigit() or stripped[0] in '+-."[('
         # A line may be a time of day.
         if begins_row and ":" not in stripped:
@@ -227,7 +229,9 @@ class TableRecording(Recording):
     def _parsed(self, lines: Sequence[DataLine]) -> Parsed:
         # NumPy reads a block at once; what it refuses is read line by line, for the place.
         numbers = None
-        if self._head.dialect.is_plain:
+        if self._head.dialect.is_plain and {*self._head.usable} <= {
+            *self._head.numeric
+        }:
             numbers = self._numbers_of_plain([line.text for line in lines])
         if numbers is not None and self._has_exact_times(numbers):
             times = None
@@ -256,7 +260,7 @@ class TableRecording(Recording):
         if separator is None and columns is not None:
             return None  # NumPy does not check the number of cells
         if separator is not None:
-            if head.has_trailing:
+            if texts[0].count(separator) == head.width:
                 texts = [text.rstrip().removesuffix(separator) for text in texts]
             if any(text.count(separator) != head.width - 1 for text in texts):
                 return None
@@ -292,8 +296,6 @@ class TableRecording(Recording):
     def _cells(self, line: DataLine) -> list[str]:
         head = self._head
         cells = head.dialect.cells(line.text)
-        if head.has_trailing and len(cells) == head.width + 1 and not cells[-1]:
-            cells.pop()
         if len(cells) == head.width:
             return cells
         fault = f"holds {len(cells)} cells; {head.width} are expected"
@@ -305,21 +307,26 @@ class TableRecording(Recording):
         return f"{self._file.name}, line {line.number}"
 
     def _number(self, cell: str, line: DataLine, column: int) -> float:
-        if is_number(cell):
-            value = float(cell)
-            if np.isfinite(value) or self._layout.accepts_missing:
-                return value
+        head = self._head
+        if head.long is not None and column not in head.numeric:
+            return head.taxels.setdefault(cell, len(head.taxels))
+        value = number_of(cell)
+        if value is not None and (np.isfinite(value) or self._layout.accepts_missing):
+            return value
         is_marker = cell.lower() in self._layout.missing_texts
         if is_marker or (is_missing(cell) and self._layout.accepts_missing):
             return np.nan
-        fault = f"column {self._head.label(column)}: {shown(cell)} is not a number"
+        fault = f"column {head.label(column)}: {shown(cell)} is not a number"
         fault = f"{self._place(line)}, {fault}"
         if is_missing(cell):
             raise SourceError(f"{fault}; {NAN_HINT}")
-        if HEXADECIMAL.fullmatch(cell):
+        if UNMARKED.fullmatch(cell):
             # The numbers of other lines would be read as decimal ones.
             ways = f"write decimal numbers, or state missing={cell} if it stands for no reading"
             raise SourceError(f"{fault}, but may be a hexadecimal one; {ways}")
+        if any(head.is_indexed(k) for k in head.usable) and not head.is_indexed(column):
+            # A text beside the taxels may say that the line is none of readings.
+            raise SourceError(f"{fault}; remove the line, or the text")
         markers = ",".join(filter(None, (self._layout.missing, cell)))
         raise UnstatedError(fault, {"missing": markers})
 
@@ -372,69 +379,16 @@ class TableRecording(Recording):
             rows = rows[n_whole:]
         self.tally.drop("lines of a cut last frame", len(rows))
 
-    def _long(self) -> Iterator[Block]:
-        """Frames of a table with a line for each taxel: lines in a row with the same frame."""
-        long = self._head.long
-        assert long is not None
-        rows = np.empty((0, self._head.width))
-        times: list[int | float] = []
-        for _, new_rows, new_times in self._rows():
-            rows = np.concatenate([rows, new_rows])
-            times += new_times or []
-            is_timed = long.frame == self._head.time
-            keys = np.array(times) if is_timed else rows[:, long.frame]
-            begins = np.flatnonzero(np.diff(keys, prepend=np.nan) != 0)
-            # The last frame may go on in the next lines.
-            stop = int(begins[-1])
-            if stop:
-                yield self._pivoted(rows[:stop], begins[:-1], times)
-            rows = rows[stop:]
-            times = times[stop:]
-        if len(rows):
-            yield self._pivoted(rows, np.array([0]), times)
 
-    def _pivoted(
-        self, rows: Doubles, begins: npt.NDArray[np.intp], times: Sequence[int | float]
-    ) -> Block:
-        """Frames of lines, of which each of `begins` is the first of a frame."""
-        long = self._head.long
-        assert long is not None
-
-        # Number of the frame, row and column of each line.
-        counts = np.diff([*begins, len(rows)])
-        frame = np.repeat(np.arange(len(begins)), counts)
-        sizes = [place.size for place in long.places]
-        least_numbers = [place.begin for place in long.places]
-        places = rows[:, [place.column for place in long.places]] - least_numbers
-        inside = ((places >= 0) & (places < sizes)).all(axis=1)
-        if not inside.all():
-            names = [axis.label for axis in long.axes]
-            k = int(np.argmin(inside))
-            text = ", ".join(
-                f"{name} {n:g}" for name, n in zip(names, places[k], strict=True)
-            )
-            sides = " x ".join(map(str, sizes))
-            fault = f"{text} is outside {sides}, as of the first frame"
-            way = "the lines of a frame have to follow each other: sort the file by its frames"
-            raise SourceError(f"{self._file.name}: {fault}; {way}")
-
-        # Taxels that have no line in a frame are missing: not 0, which would be a force.
-        shape = (len(begins), *sizes)
-        numbers = np.full(shape, np.nan)
-        cells = np.ravel_multi_index((frame, *places.T.astype(np.intp)), shape)
-        if np.unique(cells).size != len(rows):
-            raise SourceError(f"{self._file.name}: a frame holds a taxel twice")
-        numbers.flat[cells] = rows[:, long.value]
-
-        self.tally.take(len(rows), len(begins))
-        if not times:
-            return Block(numbers)
-        return Block(numbers, [times[k] for k in begins])
+def _may_sum_up(text: str) -> bool:
+    """True if a line may be below the readings: most are not, and are looked at no further."""
+    begin = text.lstrip(' \t",;|')[:3]
+    end = text.rstrip(' \t".:')[-1:]
+    return not begin or begin[0].isalpha() or end.isalpha() or "%" in begin + end
 
 
 def _empty_as(text: str) -> str:
     """The name by which a line without data is dropped; "" of others."""
-    stripped = text.strip()
-    if not stripped:
+    if not text.strip():
         return BLANK
-    return "comments" if stripped.startswith(COMMENTS) else ""
+    return "comments" if comment_mark(text) else ""

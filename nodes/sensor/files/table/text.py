@@ -34,7 +34,7 @@ LIST = re.compile(
     r"(?:[A-Za-z_.]+\((?:'\w+',)?\s*)?\[([^\[\]]*)\](?:,\s*dtype=\w+)?\)?"
 )
 """A list of numbers, perhaps as Python prints an array of them."""
-BRACKETS = str.maketrans("", "", "[](){}")
+BRACKETS = str.maketrans("", "", "[](){}<>")
 PAIR = re.compile(
     r"([A-Za-z_][\w.\[\]-]*)\s*[:=]\s*([^\s,;|]+)"
     r"(?:\s+[A-Za-zµ%°/²]+(?=\s*[,;|]|$))?[\s,;|]*"
@@ -44,7 +44,8 @@ DECIMAL_COMMA = re.compile(r"[-+]?\d*,\d+(?:[eE][-+]?\d+)?")
 GROUPED = re.compile(r"[-+]?\d{1,3}(?:,\d{3})+(?:\.\d+)?")
 """A number whose thousands are apart."""
 UTF_16 = (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)
-COMMENTS = ("#", "%", "//")
+COMMENT = re.compile(r"#(?!N/A|[A-Z]+(?:/0)?[!?])|%|//")
+"""Begin of a comment; #N/A and #DIV/0! are readings that a spreadsheet does not have."""
 
 _Any = TypeVar("_Any", str, tuple[str, ...], tuple[int, ...])
 
@@ -76,11 +77,13 @@ class Dialect(NamedTuple):
     has_quotes: bool = False
     names: tuple[str, ...] = ()
     lists: tuple[int, ...] = ()
+    # Cells of a line; an empty one behind them is that of a separator at the end of the line.
+    n_cells: int = 0
 
     @property
     def is_plain(self) -> bool:
         """True if NumPy reads its lines of numbers as they are."""
-        return self == Dialect(self.separator)
+        return self == Dialect(self.separator, n_cells=self.n_cells)
 
     def cells(self, line: str) -> list[str]:
         """The cells of a line."""
@@ -102,7 +105,10 @@ class Dialect(NamedTuple):
             cells = self._values(line)
         if self.comma is not None:
             cells = [cell.replace(",", self.comma) for cell in cells]
-        return prefix + cells
+        cells = prefix + cells
+        if len(cells) == self.n_cells + 1 and not cells[-1]:
+            cells.pop()
+        return cells
 
     def _values(self, line: str) -> list[str]:
         """The cells of what stands behind a prefix; those of a list are apart."""
@@ -125,6 +131,17 @@ class Dialect(NamedTuple):
 
     def _joined(self, content: str) -> str:
         return self.separator.join(re.split(r"[\s,;]+", content.strip(" ,;")))
+
+
+def comment_mark(text: str) -> str:
+    """The mark with which a comment begins, "" of other lines."""
+    comment = COMMENT.match(text.lstrip())
+    return comment[0] if comment else ""
+
+
+def is_body(text: str) -> bool:
+    """True if a line is neither blank nor a comment. A header may begin with %."""
+    return bool(text.strip()) and comment_mark(text) in ("", "%")
 
 
 def split(line: str, separator: str) -> list[str]:
@@ -198,7 +215,7 @@ def dialect_of(lines: Sequence[str]) -> Dialect:
         label = _usual(NUMBER.sub("#", m[0]) if m else "" for m in matches)
         bodies = [LABEL.sub("", body, count=1) for body in bodies] if label else bodies
     has_brackets = _are_most(
-        bodies, lambda line: re.search(r"[\[({]\s*[-+.\d]", line) is not None
+        bodies, lambda line: re.search(r"[\[({<]\s*[-+.\d]", line) is not None
     )
     separator = _separator(bodies)
     has_quotes = any('"' in line for line in lines)
