@@ -62,8 +62,11 @@ def add_graph(parser: argparse.ArgumentParser, document: str = "") -> None:
     """Add --graph, as all commands beside a running graph have it, and --json, if it prints one."""
     if document:
         parser.add_argument("--json", action="store_true", help=f"print {document}")
-    about = "which graph, where several run on this host"
-    rare(parser).add_argument("--graph", metavar="NAME|PID", help=about)
+    rare(parser).add_argument(
+        "--graph",
+        metavar="NAME|PID",
+        help="which graph, where several run on this host",
+    )
 
 
 def add_page(
@@ -71,8 +74,11 @@ def add_page(
 ) -> None:
     """Add the options of the live page."""
     parser.add_argument("--open", action="store_true", help=about_open)
-    about = "serve the live page to all users of this host, without a token"
-    rare(parser).add_argument("--no-token", action="store_true", help=about)
+    rare(parser).add_argument(
+        "--no-token",
+        action="store_true",
+        help="serve the live page to all users of this host, without a token",
+    )
 
 
 USUAL_KEYS = ("n_rows", "n_cols", "unit", "rate_hz", "columns", "time", "topic")
@@ -212,12 +218,11 @@ def stated_values(
 
 def add_summary(parser: argparse.ArgumentParser) -> None:
     """Add --summary."""
-    about = "write the summary as JSON"
     rare(parser).add_argument(
         "--summary",
         metavar="OUT.json",
         type=Path,
-        help=about,
+        help="write the summary as JSON",
     )
 
 

@@ -256,8 +256,9 @@ def _skin(
             raise SparseskinError(f"{where}.{key}: is stated beside skin")
         skin = load_skin(folder / stated.skin)
     if skin.unit != "N":
-        allowed = "allowed for a simulated body: N"
-        raise SparseskinError(f"{where}.unit: '{skin.unit}'; {allowed}")
+        raise SparseskinError(
+            f"{where}.unit: '{skin.unit}'; allowed for a simulated body: N"
+        )
     return skin
 
 

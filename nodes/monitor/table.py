@@ -340,9 +340,8 @@ def _since(stamp_ns: Any) -> str:
 def _many_table(graph: str, patches: Mapping[str, Summary]) -> str:
     """One row a patch: counts of frames, mean PSNR of all and of contact frames, latency."""
     # Patches of a body may have scenes of their own: what was launched names them all.
-    title = f" {printable(graph)}: {len(patches)} patches "
     rows = [
-        title.center(WIDTH, "="),
+        f" {printable(graph)}: {len(patches)} patches ".center(WIDTH, "="),
         f"{'':<12}{'frames':>8}{'skipped':>8}{'lost':>6}{'idle':>7}"
         f"{'PSNR dB':>10}{'contact':>8}{'latency p50':>12}{'p99 ms':>7}",
     ]

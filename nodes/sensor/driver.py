@@ -104,8 +104,10 @@ class DriverSource(LiveSource):
                 f"{target}: delivers = {shown(delivers)}; allowed are truth, taxels"
             )
         if n_frames is not None and not is_whole(n_frames, 0):
-            expected = "expected a whole number, or None if endless"
-            raise SourceError(f"{target}: n_frames = {shown(n_frames)}; {expected}")
+            raise SourceError(
+                f"{target}: n_frames = {shown(n_frames)}; expected a whole number, or "
+                "None if endless"
+            )
         check_number(target, "rate_hz", rate_hz)
 
         self.name: str = target
@@ -208,30 +210,38 @@ class DriverSource(LiveSource):
         except Exception as error:
             raise _failure(self._target, error) from error
 
-    def _checked_forces(self, forces: object, where: str) -> Floats:
+    def _array_of(self, forces: object, where: str) -> npt.NDArray[Any]:
+        """The numbers of a frame, as the driver returned them."""
         try:
             # A driver may return anything that NumPy reads.
             array = np.asarray(forces)
         except Exception as error:
-            fault = f"forces are no array of numbers ({shown(error, 120)})"
-            raise SourceError(f"{where}: {fault}") from error
+            raise SourceError(
+                f"{where}: forces are no array of numbers ({shown(error, 120)})"
+            ) from error
 
         if array.dtype.kind not in "iuf":
-            fault = f"forces have dtype {shown(array.dtype)}"
             raise SourceError(
-                f"{where}: {fault}; allowed are integers and floating point"
+                f"{where}: forces have dtype {shown(array.dtype)}; allowed are "
+                "integers and floating point"
             )
         # Counts of a converter would be read as newtons.
         if self._is_in_newtons and array.dtype.kind in "iu" and self._skin is None:
-            fault = "whole numbers, of which the driver states neither unit nor range"
-            raise SourceError(f"{where}: {fault}{ADD}unit={COUNTS} f_max=4095")
+            raise SourceError(
+                f"{where}: whole numbers, of which the driver states neither unit nor "
+                f"range{ADD}unit={COUNTS} f_max=4095"
+            )
+        return array
 
+    def _checked_forces(self, forces: object, where: str) -> Floats:
         # The first frame makes the skin; all later ones have its shape.
-        array = self._arranged(array, where)
+        array = self._arranged(self._array_of(forces, where), where)
         skin = self._skin
         if skin is not None and array.shape != skin.shape:
-            fault = f"forces have shape {array.shape}, but the skin has {skin.shape}"
-            raise SourceError(f"{where}: {fault}")
+            raise SourceError(
+                f"{where}: forces have shape {array.shape}, but the skin has "
+                f"{skin.shape}"
+            )
 
         # A copy: a driver may fill the same array again.
         if array.dtype == np.float32:
@@ -263,9 +273,10 @@ class DriverSource(LiveSource):
             return
         if not self._layout.accepts_missing:
             row, col = np.argwhere(~is_number)[0]
-            fault = f"row {row}, column {col}: {values[row, col]} is no force"
-            hint = f"a fault of the sensor or its driver; {NAN_HINT}"
-            raise SourceError(f"{where}, {fault}; {hint}")
+            raise SourceError(
+                f"{where}, row {row}, column {col}: {values[row, col]} is no force; a "
+                f"fault of the sensor or its driver; {NAN_HINT}"
+            )
         values[~is_number] = np.nan
 
     def _arranged(self, array: npt.NDArray[Any], where: str) -> npt.NDArray[Any]:
@@ -281,9 +292,9 @@ class DriverSource(LiveSource):
         """The driver's own skin. Raises SourceError if a setting contradicts it."""
         target = self._target
         if not isinstance(skin, Skin):
-            expected = "expected sparseskin.nodes.sensor.source.Skin"
             raise SourceError(
-                f"{target}: its skin is {type(skin).__name__}; {expected}"
+                f"{target}: its skin is {type(skin).__name__}; expected "
+                "sparseskin.nodes.sensor.source.Skin"
             )
         check_grid(skin.n_rows, skin.n_cols, target)
         # Which of the two is right, nobody knows: forces would be wrong by a factor.
@@ -291,9 +302,9 @@ class DriverSource(LiveSource):
             setting = getattr(self._layout, key)
             value = getattr(skin, key)
             if setting is not None and setting != value:
-                fault = f"{key} = {setting} is stated"
                 raise SourceError(
-                    f"{target}: {fault}, but the driver's skin has {value}"
+                    f"{target}: {key} = {setting} is stated, but the driver's skin has "
+                    f"{value}"
                 )
         self._f_max = float(skin.f_max)
         return skin
@@ -315,8 +326,10 @@ def open_callable(address: Address) -> DriverSource:
         driver = make()
     # Of the type, as `iter` looks it up.
     if not hasattr(type(driver), "__iter__"):
-        expected = "expected a generator or an iterable of (stamp_ns, forces)"
-        raise SourceError(f"{target}: returned {type(driver).__name__}; {expected}")
+        raise SourceError(
+            f"{target}: returned {type(driver).__name__}; expected a generator or an "
+            "iterable of (stamp_ns, forces)"
+        )
     return DriverSource(address, driver)
 
 
@@ -327,15 +340,19 @@ def _checked_pair(
     number after the one before, or of a clock that has begun again.
     """
     if not isinstance(item, tuple | list) or len(item) != 2:
-        fault = f"delivered {type(item).__name__}; expected a pair (stamp_ns, forces)"
-        raise SourceError(f"{where}: {fault}")
+        raise SourceError(
+            f"{where}: delivered {type(item).__name__}; expected a pair (stamp_ns, "
+            "forces)"
+        )
     stamp, forces = item
     if not is_whole(stamp):
-        fault = f"stamp_ns is {type(stamp).__name__}; expected whole nanoseconds"
-        raise SourceError(f"{where}: {fault}")
+        raise SourceError(
+            f"{where}: stamp_ns is {type(stamp).__name__}; expected whole nanoseconds"
+        )
     if previous_ns is not None and previous_ns - RESTART_NS < stamp <= previous_ns:
-        fault = f"stamp_ns {stamp} is not after the one before it, {previous_ns}"
-        raise SourceError(f"{where}: {fault}")
+        raise SourceError(
+            f"{where}: stamp_ns {stamp} is not after the one before it, {previous_ns}"
+        )
     return int(stamp), forces
 
 

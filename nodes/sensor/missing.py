@@ -80,8 +80,9 @@ class MissingReadings:
 
         # The first time is worth a line.
         if not self.n_cells:
-            line = f"missing readings are {FILLED[self._way]}"
-            self._lines.append(f"{line}: {self.n_now} at first")
+            self._lines.append(
+                f"missing readings are {FILLED[self._way]}: {self.n_now} at first"
+            )
 
         # Of the way "zero" they are 0 already.
         self.n_cells += self.n_now
@@ -130,8 +131,10 @@ class MissingReadings:
         n_masked = self._whole.n_taxels - self.skin.n_taxels
         if self._renewed_ns is None:
             if n_silent:
-                part = f"{n_silent} of {self._whole.n_taxels} taxels"
-                self._lines.append(f"{part} give no number: masked until they do")
+                self._lines.append(
+                    f"{n_silent} of {self._whole.n_taxels} taxels give no number: "
+                    "masked until they do"
+                )
         elif n_silent < n_masked and stamp_ns - self._renewed_ns >= RENEWAL_NS:
             self._lines.append(
                 f"{n_masked - n_silent} masked taxels give numbers now: used"

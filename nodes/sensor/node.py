@@ -273,8 +273,10 @@ class Sensor(SourceNode[SensorSettings]):
         if name != "tare":
             return super().command(name, value)
         if self._stage is None:
-            remedy = "state sensor.skin, or sensor.tare, in the launch file"
-            raise RefusedError(f"tare: this sensor has no baseline; {remedy}")
+            raise RefusedError(
+                "tare: this sensor has no baseline; state sensor.skin, or sensor.tare, "
+                "in the launch file"
+            )
         return self._stage.start_tare(value)
 
     def tick(self, tick: Tick) -> Iterable[Message]:

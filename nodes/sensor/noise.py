@@ -65,9 +65,9 @@ class NoiseModel:
 
     def __post_init__(self) -> None:
         if not (is_real(self.f_max, 0.0) and self.f_max > 0.0):
-            allowed = "a finite number above 0"
             raise SettingsError(
-                f"noise model: f_max is {self.f_max!r}; allowed is {allowed}"
+                f"noise model: f_max is {self.f_max!r}; allowed is a finite number "
+                "above 0"
             )
 
         # Noise as large as the range would leave nothing to measure.

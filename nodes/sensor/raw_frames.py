@@ -35,8 +35,9 @@ def read_part(text: str) -> tuple[float, float] | None:
     match = _PART.fullmatch(text)
     # A bare number is meant for frames or seconds: no guess is made.
     if match is None and _PART.fullmatch(f"{text}s"):
-        expected = f"expected seconds, as {text}s, or a file"
-        raise CalibrationError(f"{text}: {expected}; frames are not counted")
+        raise CalibrationError(
+            f"{text}: expected seconds, as {text}s, or a file; frames are not counted"
+        )
     if match is None:
         return None
     start = float(match[1] or 0)
@@ -62,8 +63,10 @@ class Recorded:
         """
         is_in_part = (self._stamps_s >= start_s) & (self._stamps_s < stop_s)
         if not is_in_part.any():
-            fault = f"no frame of the recording, which lasts {self._stamps_s[-1]:g} s"
-            raise CalibrationError(f"{start_s:g}-{stop_s:g}s: {fault}")
+            raise CalibrationError(
+                f"{start_s:g}-{stop_s:g}s: no frame of the recording, which lasts "
+                f"{self._stamps_s[-1]:g} s"
+            )
         return self.frames[is_in_part]
 
     def close(self) -> None:
@@ -104,8 +107,9 @@ class Live:
         self._keep = None
 
         if not frames:
-            silence = f"{self._source.name}: no frame in {SILENT_S:g} s"
-            raise CalibrationError(self._error or silence)
+            raise CalibrationError(
+                self._error or f"{self._source.name}: no frame in {SILENT_S:g} s"
+            )
         return np.stack(frames)
 
     def close(self) -> None:

@@ -70,10 +70,10 @@ def find_address(source: str, **stated: Any) -> Address:
 
     # "serial:/dev/x" of a missing plug-in is no driver: its name is no name of Python.
     if not all(part.isidentifier() for part in name.split(".")):
-        fault = (
-            f"no plug-in for sources {kind}: is installed{suggestion(kind, kinds())}"
+        raise SourceError(
+            f"{source}: no plug-in for sources {kind}: is "
+            f"installed{suggestion(kind, kinds())}; expected {forms()}"
         )
-        raise SourceError(f"{source}: {fault}; expected {forms()}")
     return DriverAddress(source, **stated)
 
 

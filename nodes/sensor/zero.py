@@ -44,8 +44,10 @@ class Zero:
         self, skin: Skin, tare: int | None = None, invert: bool = False
     ) -> None:
         if tare is not None and not is_whole(tare, 0, MAX_TARE_FRAMES):
-            allowed = f"allowed: a whole number, 0..{MAX_TARE_FRAMES}"
-            raise SettingsError(f"tare = {tare!r} is not allowed; {allowed}")
+            raise SettingsError(
+                f"tare = {tare!r} is not allowed; allowed: a whole number, "
+                f"0..{MAX_TARE_FRAMES}"
+            )
         if not isinstance(invert, bool | np.bool_):
             raise SettingsError(
                 f"invert = {invert!r} is not allowed; allowed: True, False"

@@ -76,10 +76,13 @@ class SerialAddress(BoardAddress):
         for name in profile_names():
             profile = read_toml(PROFILES / f"{name}.toml")
             profiles.append({"name": name, "about": str(profile.get("about", ""))})
-        about = "profiles of boards: for ?profile=NAME; or the path of a .toml file"
         return (
             Listing("serial", "serial ports: add ?profile=NAME", ports),
-            Listing("profiles", about, profiles),
+            Listing(
+                "profiles",
+                "profiles of boards: for ?profile=NAME; or the path of a .toml file",
+                profiles,
+            ),
         )
 
 
@@ -108,8 +111,12 @@ class UdpAddress(BoardAddress):
 
     @classmethod
     def listings(cls) -> Sequence[Listing]:
-        about = "packets that come to a port of this host"
-        entries = [{"source": "udp:PORT?n_rows=R&n_cols=C", "about": about}]
+        entries = [
+            {
+                "source": "udp:PORT?n_rows=R&n_cols=C",
+                "about": "packets that come to a port of this host",
+            }
+        ]
         return (Listing("udp", "boards on the network", entries),)
 
 

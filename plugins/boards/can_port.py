@@ -227,8 +227,9 @@ class CanPort(Port):
         with contextlib.suppress(OSError, ValueError):
             flags = int(Path(f"/sys/class/net/{address}/flags").read_text(), 16)
             if not flags & 1:
-                command = f"ip link set {address} up"
-                raise NotHereError(f"the CAN interface {address} is down: {command}")
+                raise NotHereError(
+                    f"the CAN interface {address} is down: ip link set {address} up"
+                )
 
     def open(self) -> None:
         can = needed_module("can", "python-can", "can")

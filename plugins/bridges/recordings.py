@@ -252,8 +252,9 @@ class RosRecording(Recording):
             except (EmptyMessageError, OtherFrameError) as error:
                 faults.setdefault(topic, str(error))
             except UnstatedError as error:
-                text = f"{self._name}: {topic}: {error}"
-                raise UnstatedError(text, *error.options) from error
+                raise UnstatedError(
+                    f"{self._name}: {topic}: {error}", *error.options
+                ) from error
             except SourceError as error:
                 faults[topic] = str(error)
                 tries[topic] += 1
@@ -389,8 +390,9 @@ class RosRecording(Recording):
         losses = [loss for storage in self._storages for loss in storage.losses]
         if n_missing > 0:
             place = f", {losses[0]}" if losses else ""
-            name = f"missing of the {n_stated} that metadata.yaml states{place}"
-            self.tally.drop(name, n_missing)
+            self.tally.drop(
+                f"missing of the {n_stated} that metadata.yaml states{place}", n_missing
+            )
         elif n_missing < 0 or n_stated is None:
             for loss in losses:
                 self.tally.drop(f"or more lost {loss}")
@@ -446,8 +448,10 @@ class _Reads:
                 )
             raise UnstatedError(f"{place}: {fault}; {hint}", {"time": LOG})
         if uses_log and time < last_time:
-            overtaken = f"more than {WINDOW} messages that stand before it"
-            raise SourceError(f"{place}: was recorded before {overtaken}; {IN_ORDER}")
+            raise SourceError(
+                f"{place}: was recorded before more than {WINDOW} messages that stand "
+                f"before it; {IN_ORDER}"
+            )
         self._last_time = time
         return time
 
@@ -460,8 +464,10 @@ class _Reads:
             self._tally.drop(OTHER_SHAPE)
             return False
         shapes = f"{size_text(self._stream.first.numbers)}, then {size_text(received.numbers)}"
-        hint = "state n_rows and n_cols: messages of other shapes are left out"
-        raise SourceError(f"{self._where}: its shape changes: {shapes}; {hint}")
+        raise SourceError(
+            f"{self._where}: its shape changes: {shapes}; state n_rows and n_cols: "
+            "messages of other shapes are left out"
+        )
 
     def _check_names(self, received: Received) -> None:
         """Raise SourceError if a message has its taxels in another order than the first one."""

@@ -117,8 +117,9 @@ class AdaptivePhi(Phi):
         try:
             nodes = self.tree.decoded(code)
         except ValueError as cause:
-            fault = f"the code of the nodes is malformed: {cause}"
-            raise PhiError(f"adaptive: {fault}") from cause
+            raise PhiError(
+                f"adaptive: the code of the nodes is malformed: {cause}"
+            ) from cause
         self.choose(nodes)
 
     def forget(self) -> None:
@@ -140,8 +141,10 @@ class AdaptivePhi(Phi):
         # A node has three details at most: fewer than these may be left over.
         n_missing = self.m - n_measured
         if not 0 <= n_missing < N_DETAILS:
-            counted = f"nodes of {n_measured} measurements are chosen"
-            raise PhiError(f"adaptive: {counted}; expected m = {self.m}")
+            raise PhiError(
+                f"adaptive: nodes of {n_measured} measurements are chosen; expected m "
+                f"= {self.m}"
+            )
 
         measured[np.flatnonzero(~measured)[:n_missing]] = True
         self.chosen = chosen

@@ -301,8 +301,10 @@ def _contradiction(values: Mapping[str, Any]) -> tuple[str, str] | None:
         n_cols = values["n_cols"]
         n = n_rows * n_cols
         if not 16 <= n <= MAX_TAXELS:
-            fault = f"{n_rows} x {n_cols} are {n} taxels"
-            return "n_rows", f"{fault}; allowed: 16..{MAX_TAXELS}"
+            return (
+                "n_rows",
+                f"{n_rows} x {n_cols} are {n} taxels; allowed: 16..{MAX_TAXELS}",
+            )
     elif len(size_keys) > 1:
         return size_keys[-1], f"states the size once more; leave out {size_keys[0]}"
 

@@ -41,8 +41,9 @@ class _Points(PointSkins):
             {"name": f"{EXAMPLE}{name}", "about": about(make)}
             for name, make in EXAMPLES.items()
         ]
-        about_files = "or a file of places, .csv or an iCub's .txt"
-        title = f"layouts: for sensor.points; {about_files}"
+        title = (
+            "layouts: for sensor.points; or a file of places, .csv or an iCub's .txt"
+        )
         return (Listing("layouts", title, entries),)
 
 

@@ -94,8 +94,10 @@ class Placement:
         """Number of taxels, grid and distance, and the notes on the points, for a log."""
         parts = f", {self.n_parts} parts" if self.n_parts > 1 else ""
         grid = f"{self.shape[0]} x {self.shape[1]}{parts}, {1000 * self.pitch_m:.3g} mm apart"
-        about = f"{self.points.n} taxels on a virtual grid of {grid}"
-        lines = [about, *self.points.notes]
+        lines = [
+            f"{self.points.n} taxels on a virtual grid of {grid}",
+            *self.points.notes,
+        ]
         return [f"{self.points.name}: {line}" for line in lines]
 
     def check_size(self, n_readings: int) -> None:

@@ -87,8 +87,10 @@ def load_model(name: str) -> Model:
     for label in labels:
         if not label.isprintable() or len(label) > MAX_LABEL:
             quoted = repr(label[:MAX_LABEL])
-            allowed = f"at most {MAX_LABEL} printable characters"
-            raise SettingsError(f"{name}: label {quoted}; allowed: {allowed}")
+            raise SettingsError(
+                f"{name}: label {quoted}; allowed: at most {MAX_LABEL} printable "
+                "characters"
+            )
     checked: Model = model
     return checked
 
@@ -105,5 +107,6 @@ def _unpickled(path: Path) -> Any:
         return joblib.load(path)
     except Exception as error:
         # Whatever the classes in the file raise.
-        fault = f"no model can be read: {one_line(error)}"
-        raise SettingsError(f"{path}: {fault}") from error
+        raise SettingsError(
+            f"{path}: no model can be read: {one_line(error)}"
+        ) from error

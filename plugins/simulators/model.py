@@ -119,8 +119,10 @@ def load_model(path: str) -> Any:
         raise SourceError(f"{path}: MuJoCo refuses it: {text[:300]}") from error
     step_s = float(model.opt.timestep)
     if not LEAST_STEP_S <= step_s <= LONGEST_STEP_S:
-        allowed = f"{LEAST_STEP_S:g}..{LONGEST_STEP_S:g} s"
-        raise SourceError(f"{path}: a time step of {step_s:g} s; allowed: {allowed}")
+        raise SourceError(
+            f"{path}: a time step of {step_s:g} s; allowed: "
+            f"{LEAST_STEP_S:g}..{LONGEST_STEP_S:g} s"
+        )
     return model
 
 

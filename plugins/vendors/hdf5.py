@@ -94,8 +94,10 @@ class Hdf5File(ArrayFile):
         # HDF5 inflates a chunk whole, whatever part of it is read.
         needed = max(row_bytes, math.prod(dataset.chunks) * dataset.dtype.itemsize)
         if needed > MAX_CHUNK_BYTES:
-            fault = f"chunks of {length} entries of axis {axis + 1} need {needed} bytes"
-            raise SourceError(f"{self.where(key)}: {fault}; at most {MAX_CHUNK_BYTES}")
+            raise SourceError(
+                f"{self.where(key)}: chunks of {length} entries of axis {axis + 1} "
+                f"need {needed} bytes; at most {MAX_CHUNK_BYTES}"
+            )
         return max(1, size // length) * length
 
     def _check_size(self, key: str) -> None:

@@ -163,9 +163,9 @@ def _add_episode(
                 rows[topic] = _Rows(path, np.dtype("<f4"), shape)
             # An array has one shape: another skin in a later bag does not fit.
             if rows[topic].sides != shape:
-                shapes = f"frames of {shape[1:]} after some of {rows[topic].sides[1:]}"
                 raise BagError(
-                    f"{bag.path}: {topic}, stamp {message.stamp_ns}: {shapes}"
+                    f"{bag.path}: {topic}, stamp {message.stamp_ns}: frames of "
+                    f"{shape[1:]} after some of {rows[topic].sides[1:]}"
                 )
             rows[topic].add(newest[topic])
 

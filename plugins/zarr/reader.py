@@ -125,8 +125,10 @@ class ZarrFolder(ArrayFile):
             ways = f"state topic={name}:0 .. topic={name}:{n - 1}"
             keys = [printable(key) for key in self._tactile()]
             names = ", ".join(keys) or "none of tactile data"
-            fault = f"holds {n} episodes, which is not stated: {ways}; arrays: {names}"
-            raise UnstatedError(f"{self.name}: {fault}")
+            raise UnstatedError(
+                f"{self.name}: holds {n} episodes, which is not stated: {ways}; "
+                f"arrays: {names}"
+            )
         # One episode need not be stated.
         number = number or 0
         if number >= n or ends[number] >= ends[number + 1]:
@@ -192,10 +194,11 @@ class ZarrFolder(ArrayFile):
             max(row_bytes, stored.chunk_bytes) > MAX_CHUNK_BYTES
             or n_chunks > MAX_CHUNKS
         ):
-            entries = f"{length} entries of axis {axis + 1}"
-            fault = f"{n_chunks} chunks of {entries} need {row_bytes} bytes"
-            allowed = f"at most {MAX_CHUNKS} of {MAX_CHUNK_BYTES} bytes together"
-            raise SourceError(f"{self.where(key)}: {fault}; {allowed}")
+            raise SourceError(
+                f"{self.where(key)}: {n_chunks} chunks of {length} entries of axis "
+                f"{axis + 1} need {row_bytes} bytes; at most {MAX_CHUNKS} of "
+                f"{MAX_CHUNK_BYTES} bytes together"
+            )
 
         # Chunks that are not there cost nothing: a file of some bytes may state any shape.
         n_files_bytes = 0
@@ -204,8 +207,10 @@ class ZarrFolder(ArrayFile):
                 n_files_bytes += os.lstat(os.path.join(folder, name)).st_size
         limit = max(MAX_GROWN_BYTES, MAX_GROWTH * n_files_bytes)
         if n_bytes > limit:
-            fault = f"would have {n_bytes} bytes, of files of {n_files_bytes}"
-            raise SourceError(f"{self.where(key)}: {fault}; at most {limit}")
+            raise SourceError(
+                f"{self.where(key)}: would have {n_bytes} bytes, of files of "
+                f"{n_files_bytes}; at most {limit}"
+            )
 
     def _part(self, key: str, ranges: tuple[range, ...]) -> npt.NDArray[Any]:
         """The numbers of an array in a range of each axis."""
@@ -254,10 +259,10 @@ class ZarrFolder(ArrayFile):
                 f"{self.where(key)}: {' '.join(fault.split())[:200]}"
             ) from error
         if len(plain) != stored.chunk_bytes:
-            fault = (
-                f"chunk {name} has {len(plain)} bytes in place of {stored.chunk_bytes}"
+            raise SourceError(
+                f"{self.where(key)}: chunk {name} has {len(plain)} bytes in place of "
+                f"{stored.chunk_bytes}"
             )
-            raise SourceError(f"{self.where(key)}: {fault}")
 
         # Read-only: what is read of it is copied.
         flat = np.frombuffer(plain, stored.dtype)
@@ -347,8 +352,10 @@ def _arrays_of(
     if path.count("/") >= MAX_DEPTH:
         return
     if (group / NEW).is_file():
-        fault = "is of Zarr format 3; allowed is format 2, as zarr_format=2 writes it"
-        raise SourceError(f"{where}: {fault}")
+        raise SourceError(
+            f"{where}: is of Zarr format 3; allowed is format 2, as zarr_format=2 "
+            "writes it"
+        )
 
     # A folder may hold any number of entries: no more are listed than are read.
     with os.scandir(group) as entries:
@@ -372,8 +379,9 @@ def _file_bytes(path: Path, limit: int, where: str) -> bytes | None:
     except FileNotFoundError:
         return None
     except OSError as error:
-        fault = f"cannot be read ({error.strerror})"
-        raise SourceError(f"{where}: {shown(path.name)}: {fault}") from error
+        raise SourceError(
+            f"{where}: {shown(path.name)}: cannot be read ({error.strerror})"
+        ) from error
 
     # One byte more than allowed shows that there are too many.
     with open(descriptor, "rb") as file:

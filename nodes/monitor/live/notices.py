@@ -163,8 +163,9 @@ def _grouped(by_patch: Mapping[str, list[Notice]]) -> list[Notice]:
     for (tone, _), of_kind in kinds.items():
         if len(of_kind) > FEW:
             name, text = of_kind[0]
-            names = f"{name} and {len(of_kind) - 1} other patches"
-            grouped.append((tone, f"{names}: {text}"))
+            grouped.append(
+                (tone, f"{name} and {len(of_kind) - 1} other patches: {text}")
+            )
         else:
             grouped += [(tone, f"{name}: {text}") for name, text in of_kind]
     return grouped

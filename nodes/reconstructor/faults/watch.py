@@ -212,8 +212,9 @@ class FaultWatch:
         self._rows_doubted = self._doubted_rows()
         new = np.flatnonzero(is_doubted & ~was_doubted)
         if len(new):
-            fault = "measurements doubted, no force explains them"
-            self._note("rows", f"{fault}: {listed(new)}")
+            self._note(
+                "rows", f"measurements doubted, no force explains them: {listed(new)}"
+            )
 
     def _doubted_rows(self) -> tuple[int, ...]:
         # Those of any row subset.

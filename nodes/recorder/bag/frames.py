@@ -57,8 +57,10 @@ def frame_topics(
     if topics is not None:
         for topic in requested:
             if bag.topics[topic].schema not in schemas:
-                allowed = f"allowed are topics of {', '.join(schemas)}"
-                raise BagError(f"{bag.path}: topic {topic} holds no frames; {allowed}")
+                raise BagError(
+                    f"{bag.path}: topic {topic} holds no frames; allowed are topics of "
+                    f"{', '.join(schemas)}"
+                )
 
     with_frames = []
     for topic in requested:
@@ -157,8 +159,9 @@ def decoded(bag: BagReader, recorded: BagMessage) -> Message:
     try:
         return decode(recorded.topic.encode(), recorded.payload)
     except MessageError as error:
-        place = f"{bag.path}: {recorded.topic}, stamp {recorded.stamp_ns}"
-        raise BagError(f"{place}: {error}") from error
+        raise BagError(
+            f"{bag.path}: {recorded.topic}, stamp {recorded.stamp_ns}: {error}"
+        ) from error
 
 
 def skin_of(bag: BagReader, patch: str) -> SkinState | None:

@@ -124,9 +124,10 @@ class BagReader(AbstractContextManager["BagReader"]):
             record = record_at(self._file, chunk.offset, chunk.stop, Opcode.CHUNK)
             return open_chunk(record)
         except Break as broken:
-            fault = "is damaged, or was changed while it was read"
-            where = f"at byte {chunk.offset}: {broken.why}"
-            raise BagError(f"{self.path}: {fault}, {where}") from broken
+            raise BagError(
+                f"{self.path}: is damaged, or was changed while it was read, at byte "
+                f"{chunk.offset}: {broken.why}"
+            ) from broken
         except OSError as error:
             raise BagError(f"{self.path}: {error.strerror}") from error
 

@@ -83,11 +83,14 @@ def records(file: IO[bytes], start: int, stop: int) -> Iterator[Record]:
         if opcode not in _KNOWN:
             raise Break(offset, "no record begins there")
         if length > stop - offset - HEAD_BYTES:
-            why = "the file ends in the middle of a record, or its length is wrong"
-            raise Break(offset, why)
+            raise Break(
+                offset,
+                "the file ends in the middle of a record, or its length is wrong",
+            )
         if length > _MAX_RECORD_BYTES:
-            why = f"a record of {length} bytes, at most {_MAX_RECORD_BYTES}"
-            raise Break(offset, why)
+            raise Break(
+                offset, f"a record of {length} bytes, at most {_MAX_RECORD_BYTES}"
+            )
 
         record = Record(opcode, offset, file.read(length))
         yield record

@@ -191,12 +191,15 @@ class BagWriter(AbstractContextManager["BagWriter"]):
         channel = self._channel(topic, schema, version)
         n_bytes = len(payload)
         if n_bytes > MAX_MESSAGE_BYTES:
-            fault = f"a message of {n_bytes} bytes on {topic}"
-            raise BagError(f"{self.path}: {fault}, at most {MAX_MESSAGE_BYTES}")
+            raise BagError(
+                f"{self.path}: a message of {n_bytes} bytes on {topic}, at most "
+                f"{MAX_MESSAGE_BYTES}"
+            )
         for name, time_ns in (("log time", log_time_ns), ("stamp", stamp_ns)):
             if not 0 <= time_ns <= INT64_MAX:
-                fault = f"{name} {time_ns} is outside 0..2**63 - 1"
-                raise BagError(f"{self.path}: {topic}: {fault}")
+                raise BagError(
+                    f"{self.path}: {topic}: {name} {time_ns} is outside 0..2**63 - 1"
+                )
 
         # 32 bits in the file.
         info = self._topics.setdefault(topic, TopicInfo(schema, version))
@@ -327,8 +330,10 @@ class BagWriter(AbstractContextManager["BagWriter"]):
         try:
             place(self.part, self.path)
         except OSError as error:
-            remains = f"the recording is complete in {self.part.name}"
-            raise BagError(f"{self.path}: {error.strerror}; {remains}") from error
+            raise BagError(
+                f"{self.path}: {error.strerror}; the recording is complete in "
+                f"{self.part.name}"
+            ) from error
         # The name is on the disk once the folder is.
         with contextlib.suppress(OSError):
             folder = os.open(self.path.parent, os.O_RDONLY)

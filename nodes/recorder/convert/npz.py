@@ -210,9 +210,10 @@ class _Columns:
             return numbers.reshape(shape)
         # One long frame among many short ones would fill the disk.
         if n_padded > max(MAX_PADDED, MAX_PADDING * numbers.size):
-            fault = f"{numbers.size} numbers would be padded to {n_padded}"
-            allowed = f"at most {MAX_PADDING} times as many are allowed"
-            raise BagError(f"{self._place}: {fault}; {allowed}; export to csv")
+            raise BagError(
+                f"{self._place}: {numbers.size} numbers would be padded to {n_padded}; "
+                f"at most {MAX_PADDING} times as many are allowed; export to csv"
+            )
 
         # M may change between messages: the rest of a row is NaN.
         padded = np.memmap(f"{path}_padded", np.float32, "w+", shape=shape)

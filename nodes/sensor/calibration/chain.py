@@ -127,8 +127,10 @@ class Chain:
         """
         n_frames = TARE_FRAMES if value is None else value
         if not is_whole(n_frames, 1, MAX_TARE_FRAMES):
-            fault = f"{str(value)[:40]!r} is no number of frames"
-            raise RefusedError(f"tare: {fault} (allowed: 1..{MAX_TARE_FRAMES})")
+            raise RefusedError(
+                f"tare: {str(value)[:40]!r} is no number of frames (allowed: "
+                f"1..{MAX_TARE_FRAMES})"
+            )
         n_cells = self.description.n_rows * self.description.n_cols
         limit = MAX_TARE_READINGS // n_cells
         if n_frames > limit:

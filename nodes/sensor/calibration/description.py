@@ -105,8 +105,10 @@ class Response:
         for name, values in vars(self).items():
             steps = np.diff(values, axis=0, prepend=0)
             if not ((steps > 0).all() and values.max() <= MAX_NUMBER):
-                allowed = f"must be above 0, at most {MAX_NUMBER:g}, and rise from knot to knot"
-                raise SkinFileError(f"response.{name}: {allowed}")
+                raise SkinFileError(
+                    f"response.{name}: must be above 0, at most {MAX_NUMBER:g}, and "
+                    "rise from knot to knot"
+                )
 
         # Slopes of knots that are too close overflow, which the check refuses.
         with np.errstate(all="ignore"):
@@ -185,8 +187,10 @@ class SkinDescription:
         text = getattr(self, key)
         is_printable = isinstance(text, str) and text.strip() and text.isprintable()
         if not (is_printable and len(text) <= longest):
-            expected = f"expected 1..{longest} printable characters"
-            raise SkinFileError(f"{key}: {expected}, got {ascii(text)[:40]}")
+            raise SkinFileError(
+                f"{key}: expected 1..{longest} printable characters, got "
+                f"{ascii(text)[:40]}"
+            )
 
     def _check_numbers(self) -> None:
         """Check the size and range, which bound what the arrays may hold."""
@@ -214,9 +218,9 @@ class SkinDescription:
     ) -> None:
         array = getattr(self, key)
         if array is not None and (array.shape != shape or array.dtype != dtype):
-            expected = f"expected {np.dtype(dtype)} of shape {shape}"
             raise SkinFileError(
-                f"{key}: {array.dtype} of shape {array.shape}; {expected}"
+                f"{key}: {array.dtype} of shape {array.shape}; expected "
+                f"{np.dtype(dtype)} of shape {shape}"
             )
 
     def _check_values(self) -> None:
@@ -235,11 +239,9 @@ class SkinDescription:
             return
         reading = self.response.reading
         if reading.shape[1:] not in ((), self.shape) or reading.size > MAX_CURVES:
-            expected = (
-                f"K numbers, or K grids of {self.shape}, {MAX_CURVES} numbers at most"
-            )
             raise SkinFileError(
-                f"response.reading: shape {reading.shape}; expected {expected}"
+                f"response.reading: shape {reading.shape}; expected K numbers, or K "
+                f"grids of {self.shape}, {MAX_CURVES} numbers at most"
             )
 
     @property

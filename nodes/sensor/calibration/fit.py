@@ -254,9 +254,9 @@ def _checked_shape(
         n_frames = len(press.frames)
         press_shape = press.frames.shape[1:]
         if press_shape != shape or not n_frames:
-            needed = f"the untouched ones have {shape}, and at least one is needed"
             raise CalibrationError(
-                f"{press.label}: frames of shape {press_shape}; {needed}"
+                f"{press.label}: frames of shape {press_shape}; the untouched ones "
+                f"have {shape}, and at least one is needed"
             )
     return shape
 
@@ -281,13 +281,14 @@ def _at_rest(
     n_noisy = int(noisy.sum())
     unsteady_share = float(unsteady[exists].mean())
     if n_noisy > TOUCHED_SHARE * exists.sum():
-        remark = (
+        remarks.append(
             f"{n_noisy} taxels are noisy: was the skin touched where it should not be?"
         )
-        remarks.append(remark)
     elif unsteady_share > OUTLIERS:
-        part = f"{100 * unsteady_share:.0f} % of the untouched readings"
-        remarks.append(f"{part} come and go: was the skin touched?")
+        remarks.append(
+            f"{100 * unsteady_share:.0f} % of the untouched readings come and go: was "
+            "the skin touched?"
+        )
     return _Rest(baseline, noise, typical_noise, stuck, noisy, works & ~noisy)
 
 
@@ -369,9 +370,9 @@ def _rise(press: Press, at_rest: _Rest) -> Doubles:
     noise_of_sum = math.sqrt(float(np.square(at_rest.noise[works]).sum()))
     chance = TOUCHED * noise_of_sum
     if abs(frame_sum - steady_sum) > MOVED * abs(frame_sum) + chance:
-        sums = f"its frames add up to {frame_sum:.4g}, the readings that stay to {steady_sum:.4g}"
         raise CalibrationError(
-            f"{press.label}: the load moves: {sums}; let it stand still"
+            f"{press.label}: the load moves: its frames add up to {frame_sum:.4g}, the "
+            f"readings that stay to {steady_sum:.4g}; let it stand still"
         )
     return rise
 
@@ -510,10 +511,9 @@ def _common_gain(
     # By more than weights and noise explain.
     if error.max() > 0.1:
         worst = presses[int(error.argmax())].label
-        remedy = "even loads over a stated area give each taxel its own"
         remarks.append(
-            f"{worst}: {100 * error.max():.0f} % off one gain for all: "
-            f"taxels or loads differ; {remedy}"
+            f"{worst}: {100 * error.max():.0f} % off one gain for all: taxels or loads "
+            "differ; even loads over a stated area give each taxel its own"
         )
     return np.full(works.shape, gain)
 

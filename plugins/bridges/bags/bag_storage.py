@@ -138,8 +138,9 @@ def _bytes(file: IO[bytes], offset: int, stop: int, most: int) -> bytes:
     (n_bytes,) = LENGTH.unpack(raw)
     # A length is compared with what there is before anything is read.
     if n_bytes > stop - file.tell():
-        why = "the file ends in the middle of a record, or its length is wrong"
-        raise Break(offset, why)
+        raise Break(
+            offset, "the file ends in the middle of a record, or its length is wrong"
+        )
     if n_bytes > most:
         raise Break(offset, f"a record of {n_bytes} bytes, at most {most}")
     return file.read(n_bytes)

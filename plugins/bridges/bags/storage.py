@@ -108,8 +108,10 @@ class Workspace:
             weakref.finalize(self, shutil.rmtree, self._folder, ignore_errors=True)
         # Checked before anything is written: a full disk would stop other programs.
         if n_bytes > self.free_bytes:
-            needed = f"needs {n_bytes / 1e6:.0f} MB in {self._folder}, which has"
-            raise SourceError(f"{path}: {needed} {self.free_bytes / 1e6:.0f} MB")
+            raise SourceError(
+                f"{path}: needs {n_bytes / 1e6:.0f} MB in {self._folder}, which has "
+                f"{self.free_bytes / 1e6:.0f} MB"
+            )
 
         name = Path(path).name.removesuffix(".zstd")
         copy = str(Path(self._folder) / f"{len(self._copies)}_{name}")

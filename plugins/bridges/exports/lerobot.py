@@ -140,8 +140,10 @@ class _Episode:
             )
         # Allowed, as people stop a robot before its recorder; but it may be the wrong recording.
         if end_ns + slack_ns < last_ns:
-            unused = f"its last {(last_ns - end_ns) / 1e9:.3f} s"
-            print(f"{self.path}: {unused} have no rows", file=sys.stderr)
+            print(
+                f"{self.path}: its last {(last_ns - end_ns) / 1e9:.3f} s have no rows",
+                file=sys.stderr,
+            )
 
     def features(self, rows_ns: Times | None) -> dict[str, Feature]:
         """Those of maps and contacts; of a dataset that has no other, with rows at these times,
@@ -286,8 +288,10 @@ def _check_shapes(
     expected = {key: feature.shape for key, feature in added[0].items()}
     shapes = {key: feature.shape for key, feature in added[-1].items()}
     if shapes != expected:
-        fault = f"its features differ from those of {path_of_first}: {shapes}, not {expected}"
-        raise BagError(f"{path}: {fault}")
+        raise BagError(
+            f"{path}: its features differ from those of {path_of_first}: {shapes}, not "
+            f"{expected}"
+        )
 
 
 def _check_options(numbers: dict[str, int | None], out: Path, into: str | None) -> None:
@@ -452,8 +456,10 @@ def _readme(episodes: Sequence[_Episode]) -> str:
         about_skin = "- | - | -"
         if skin is not None:
             about_skin = f"{skin.unit} | 0..{skin.f_max:g} | {skin.pitch_m or '-'}"
-        frames = f"{stream.key} | {stream.size} | {n_rows} x {n_cols}"
-        lines.append(f"| {frames} | {about_skin} | {stream.topic} |")
+        lines.append(
+            f"| {stream.key} | {stream.size} | {n_rows} x {n_cols} | {about_skin} | "
+            f"{stream.topic} |"
+        )
     if contacts:
         contact_texts = []
         for stream in contacts:

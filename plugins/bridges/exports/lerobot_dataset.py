@@ -123,8 +123,9 @@ class Dataset:
             seconds = table["timestamp"].to_numpy()
             indices, counts = np.unique(episodes, return_counts=True)
             if not np.array_equal(indices, np.arange(self._info["total_episodes"])):
-                fault = "not of those that it states"
-                raise ValueError(f"rows of {len(indices)} episodes, {fault}")
+                raise ValueError(
+                    f"rows of {len(indices)} episodes, not of those that it states"
+                )
 
             # Rows may stand in any file; those of one episode are in order.
             order = np.argsort(episodes, kind="stable")
@@ -307,8 +308,9 @@ class Dataset:
             yield
         except (*kinds, pa.ArrowException) as error:
             text = " ".join(f"{type(error).__name__}: {error}".split())[:200]
-            fault = f"no dataset of LeRobot that can be read: {text}"
-            raise BagError(f"{self.root}: {fault}") from error
+            raise BagError(
+                f"{self.root}: no dataset of LeRobot that can be read: {text}"
+            ) from error
 
 
 def make_dataset(root: Path, lengths: Sequence[int], fps: int) -> Dataset:
