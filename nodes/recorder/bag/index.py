@@ -35,11 +35,10 @@ _NO_INDEX = "the index at its end is missing or damaged"
 
 
 class BagChannel(NamedTuple):
-    """Topic, schema and version of the messages of a channel."""
+    """Topic and schema of the messages of a channel."""
 
     topic: str
     schema: str
-    version: int
 
 
 class ChunkSpan(NamedTuple):
@@ -116,7 +115,7 @@ class BagIndex:
                 f"{place}: recorded with {kind} version {version[:20] or 'unknown'}; "
                 f"this program reads {SCHEMAS[kind].version}"
             )
-        return BagChannel(channel.topic, kind, SCHEMAS[kind].version)
+        return BagChannel(channel.topic, kind)
 
     def _foreign(self, channel: mcap.Channel, schema_name: str) -> BagError:
         """The error of a channel of another program, with what opens its file."""
@@ -158,9 +157,9 @@ class BagIndex:
 
         # Only a chunk without a fault is counted.
         for channel, stamp_ns, log_ns in messages:
-            empty = TopicInfo(channel.schema, channel.version)
+            empty = TopicInfo(channel.schema, SCHEMAS[channel.schema].version)
             info = self.topics.setdefault(channel.topic, empty)
-            info.add(channel.schema, channel.version, stamp_ns, log_ns)
+            info.add(channel.schema, stamp_ns, log_ns)
         self.n_scanned += len(messages)
         if messages:
             log_times = [log_ns for _, _, log_ns in messages]
@@ -301,10 +300,7 @@ def _from_summary(file: BinaryIO, name: str, start: int, stop: int) -> BagIndex 
 
     # Counts of other topics than those of the channels are of no use.
     channels = set(index.channels.values())
-    counted = {
-        BagChannel(topic, info.schema, info.version)
-        for topic, info in index.topics.items()
-    }
+    counted = {BagChannel(topic, info.schema) for topic, info in index.topics.items()}
     channel_topics = {channel.topic for channel in channels}
     if index.topics.keys() != channel_topics or not counted <= channels:
         return None

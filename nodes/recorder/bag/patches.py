@@ -81,7 +81,7 @@ class SplitBag(BagReader):
                 schema = split_topic(single.topic)[1]
                 empty = TopicInfo(schema, SCHEMAS[schema].version)
                 info = topics.setdefault(single.topic, empty)
-                info.add(schema, info.version, single.stamp_ns, single.log_time_ns)
+                info.add(schema, single.stamp_ns, single.log_time_ns)
 
         # States hold for each of the patches.
         for topic in bag.topics.keys() - set(several):

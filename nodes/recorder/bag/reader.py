@@ -95,7 +95,7 @@ class BagReader(AbstractContextManager["BagReader"]):
     def _messages(
         self, wanted: frozenset[str], start_ns: int | None, stop_ns: int | None
     ) -> Iterator[BagMessage]:
-        # A topic has several channels where its schema changed its version.
+        # The end of a stream has a channel of its own.
         channels = {}
         for id, channel in self._index.channels.items():
             if channel.topic in wanted:

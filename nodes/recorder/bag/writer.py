@@ -150,8 +150,8 @@ class BagWriter(AbstractContextManager["BagWriter"]):
         self._topics: dict[str, TopicInfo] = {}
         self._failure = ""
         self._closed = False
-        self._channels: dict[tuple[str, str, int], int] = {}
-        self._schemas: dict[tuple[str, int], int] = {}
+        self._channels: dict[tuple[str, str], int] = {}
+        self._schemas: dict[str, int] = {}
 
         try:
             # Found now: the library would fail in the middle of the file.
@@ -187,8 +187,8 @@ class BagWriter(AbstractContextManager["BagWriter"]):
         not changed any more); or if the bag is closed.
         """
         self._check_open()
-        topic, schema, version, log_time_ns, stamp_ns, payload = message
-        channel = self._channel(topic, schema, version)
+        topic, schema, log_time_ns, stamp_ns, payload = message
+        channel = self._channel(topic, schema)
         n_bytes = len(payload)
         if n_bytes > MAX_MESSAGE_BYTES:
             raise BagError(
@@ -202,10 +202,11 @@ class BagWriter(AbstractContextManager["BagWriter"]):
                 )
 
         # 32 bits in the file.
-        info = self._topics.setdefault(topic, TopicInfo(schema, version))
+        empty = TopicInfo(schema, SCHEMAS[schema].version)
+        info = self._topics.setdefault(topic, empty)
         sequence = info.n_messages & 0xFFFFFFFF
         self._mcap.add_message(channel, log_time_ns, payload, stamp_ns, sequence)
-        info.add(schema, version, stamp_ns, log_time_ns)
+        info.add(schema, stamp_ns, log_time_ns)
         self.n_messages += 1
 
         # The chunk was full.
@@ -219,8 +220,10 @@ class BagWriter(AbstractContextManager["BagWriter"]):
     def record(self, message: Message, log_time_ns: int) -> None:
         """Encode and record a message; raises as `write`."""
         topic, payload = encode(message)
-        form = (topic.decode(), message.schema, message.version)
-        self.write(BagMessage(*form, log_time_ns, message.stamp_ns, payload))
+        stamp_ns = message.stamp_ns
+        self.write(
+            BagMessage(topic.decode(), message.schema, log_time_ns, stamp_ns, payload)
+        )
 
     def tick(self) -> None:
         """Flush if a message has waited for `flush_every_s`; raises as `flush`."""
@@ -268,9 +271,9 @@ class BagWriter(AbstractContextManager["BagWriter"]):
         self._file.close(sync=False)
         self.part.unlink(missing_ok=True)
 
-    def _channel(self, topic: str, schema: str, version: int) -> int:
+    def _channel(self, topic: str, schema: str) -> int:
         """Number of the channel of a topic and schema, which is registered at its first use."""
-        channel = self._channels.get((topic, schema, version))
+        channel = self._channels.get((topic, schema))
         if channel is not None:
             return channel
         # What a file states is checked once: names come from other programs, too.
@@ -284,16 +287,16 @@ class BagWriter(AbstractContextManager["BagWriter"]):
                 f"{self.path}: {topic}: schema {schema!r} is not known{hint}"
             )
 
-        form = (schema, version)
-        if form not in self._schemas:
-            text = json.dumps(json_schema(SCHEMAS[schema], version)).encode()
+        cls = SCHEMAS[schema]
+        if schema not in self._schemas:
+            text = json.dumps(json_schema(cls)).encode()
             name = SCHEMA_PREFIX + schema
-            self._schemas[form] = self._mcap.register_schema(name, "jsonschema", text)
-        metadata = {VERSION_KEY: str(version)}
+            self._schemas[schema] = self._mcap.register_schema(name, "jsonschema", text)
+        metadata = {VERSION_KEY: str(cls.version)}
         channel = self._mcap.register_channel(
-            topic, ENCODING, self._schemas[form], metadata
+            topic, ENCODING, self._schemas[schema], metadata
         )
-        self._channels[topic, schema, version] = channel
+        self._channels[topic, schema] = channel
         return channel
 
     def _check_open(self) -> None:
@@ -343,13 +346,11 @@ class BagWriter(AbstractContextManager["BagWriter"]):
                 os.close(folder)
 
 
-def json_schema(cls: type[Message], version: int) -> dict[str, Any]:
-    """Describe the msgpack map of a version of a message class as a JSON Schema: its fields and
-    their types.
-    """
+def json_schema(cls: type[Message]) -> dict[str, Any]:
+    """Describe the msgpack map of a message class as a JSON Schema: its fields and their types."""
     properties: dict[str, Any] = {
         "schema": {"const": cls.schema},
-        "version": {"const": version},
+        "version": {"const": cls.version},
     }
     for name, kind in wire_fields(cls).items():
         json_type = _TYPES.get(type(kind), "object")
