@@ -8,11 +8,11 @@ from collections.abc import Iterable, Iterator
 from typing import IO, NamedTuple
 
 from sparseskin.nodes.errors import SourceError
-from sparseskin.nodes.recorder.bag.records import Break
+from sparseskin.nodes.recorder.bag.records import Break, decompressed
 from sparseskin.nodes.sensor.layout.checks import reading
 from sparseskin.plugins.bridges.messages.definitions import full_name
 
-from .chunks import ChunkedStorage, begin_of_chunk
+from .chunks import ChunkedStorage
 from .storage import Topic
 
 MAGIC = b"#ROSBAG V2.0\n"
@@ -163,4 +163,4 @@ def _plain(record: Record) -> bytes:
     """The records of a chunk, or what can be decompressed of them."""
     form = record.text(b"compression")
     n_bytes = record.number(b"size")
-    return begin_of_chunk(form, record.data, n_bytes, record.offset, MAX_CHUNK_BYTES)
+    return decompressed(form, record.data, n_bytes, record.offset, MAX_CHUNK_BYTES)

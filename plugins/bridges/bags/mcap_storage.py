@@ -19,6 +19,7 @@ from sparseskin.nodes.recorder.bag.records import (
     Break,
     Record,
     chunk_records,
+    decompressed,
     message_of,
     open_chunk,
     records,
@@ -26,7 +27,7 @@ from sparseskin.nodes.recorder.bag.records import (
 from sparseskin.nodes.sensor.layout.checks import reading
 from sparseskin.plugins.bridges.messages.definitions import full_name
 
-from .chunks import ChunkedStorage, begin_of_chunk
+from .chunks import ChunkedStorage
 from .storage import Topic
 
 FOOTER_BYTES = HEAD_BYTES + 20
@@ -82,7 +83,7 @@ class McapStorage(ChunkedStorage):
             stream.read8()
         except (EndOfFile, struct.error, UnicodeDecodeError):
             return ()
-        plain = begin_of_chunk(form, content.read(), n_plain, offset)
+        plain = decompressed(form, content.read(), n_plain, offset)
         return _inner(plain, offset)
 
     def payload(self, record: Record) -> tuple[int, int, bytes] | None:
