@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from sparseskin.launch.attach.text import facts, flowing, size_text, table
-from sparseskin.nodes.errors import SourceError
+from sparseskin.nodes.errors import SourceError, counted
 from sparseskin.nodes.extensions import EXPORTS, loaded
 from sparseskin.nodes.lookup import find_callable
 from sparseskin.nodes.process.control import Document
@@ -207,7 +207,7 @@ def _recover(arguments: argparse.Namespace) -> int:
         )
         n_messages = recover_bag(bag, out)
         print(f"{bag.path}: {bag.recovered or 'is whole'}")
-    print(f"{out}: {_count(n_messages, 'message')}")
+    print(f"{out}: {counted(n_messages, 'message')}")
     return 0
 
 
@@ -239,7 +239,7 @@ def _import(arguments: argparse.Namespace) -> int:
             )
         except SourceError as error:
             raise SourceError(as_options(str(error))) from error
-        print(f"{bag}: {_count(n_frames, 'frame')}")
+        print(f"{bag}: {counted(n_frames, 'frame')}")
     return 0
 
 
@@ -293,12 +293,6 @@ def _stated_options(arguments: argparse.Namespace) -> Document:
 
 def _stem(path: Path) -> str:
     return path.name.removesuffix(PART_SUFFIX).removesuffix(FILE_SUFFIX)
-
-
-def _count(n: int, what: str) -> str:
-    if n == 1:
-        return f"{n} {what}"
-    return f"{n} {what}s"
 
 
 def info_document(bag: "BagReader") -> Document:

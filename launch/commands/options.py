@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 from sparseskin.launch.attach.text import formatted, typed_value
 from sparseskin.messages.text import printable
-from sparseskin.nodes.errors import SettingsError, SparseskinError
+from sparseskin.nodes.errors import SettingsError, SparseskinError, counted
 from sparseskin.nodes.files import (
     NO_FOLDER,
     NO_WRITING,
@@ -291,11 +291,9 @@ def _end_lines(name: str, node: Mapping[str, Any]) -> Iterator[str]:
     # What went wrong comes before what was done.
     n_restarts = node.get("restarts", 0)
     if n_restarts:
-        times = "times"
-        if n_restarts == 1:
-            times = "time"
+        times = counted(n_restarts, "time")
         failure = printable(node["failures"][-1])
-        yield f"{name}: restarted {n_restarts} {times} after a failure; the last: {failure}"
+        yield f"{name}: restarted {times} after a failure; the last: {failure}"
     for line in node.get("lines", ()):
         yield f"{name}: {line}"
     if node.get("missing"):

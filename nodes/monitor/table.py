@@ -9,6 +9,7 @@ from typing import Any
 from sparseskin.messages.contacts import sum_unit, summary
 from sparseskin.messages.reasons import Reason, phrase_of
 from sparseskin.messages.text import printable
+from sparseskin.nodes.errors import counted
 
 from .metrics import FLOAT_BITS, PatchMetrics
 
@@ -197,10 +198,7 @@ def _reasons(counts: Counter[str]) -> str:
         return "".join(f": {phrase_of(word)}" for word in counts)
     text = ""
     for word, count in counts.most_common():
-        frames = "frames"
-        if count == 1:
-            frames = "frame"
-        text += f"; in {count} {frames}: {phrase_of(word)}"
+        text += f"; in {counted(count, 'frame')}: {phrase_of(word)}"
     return text
 
 

@@ -19,6 +19,7 @@ from sparseskin.messages import MessageError
 from sparseskin.messages.ranges import INT64_MAX, is_whole
 from sparseskin.messages.topics import split_topic
 from sparseskin.messages.wire import SCHEMAS
+from sparseskin.nodes.errors import counted
 
 from . import format as form
 from . import records as of_file
@@ -344,8 +345,8 @@ def _scan(file: BinaryIO, name: str, damage: str) -> tuple[BagIndex, str]:
             ) from broken
         where = f"{place}: {broken.why}"
 
-    messages = "message" if index.n_scanned == 1 else "messages"
-    return index, f"{index.n_scanned} {messages} recovered, up to {where}"
+    messages = counted(index.n_scanned, "message")
+    return index, f"{messages} recovered, up to {where}"
 
 
 def _scan_records(file: BinaryIO, index: BagIndex, size: int) -> str:
