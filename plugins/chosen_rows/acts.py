@@ -215,6 +215,7 @@ def _steps(exists: npt.NDArray[np.bool_], m: int) -> list[int]:
 
 def _around(known: Floats) -> tuple[Floats, Floats]:
     """Highest and lowest reading of each cell and its neighbours; -inf and inf if none was read."""
+    # SciPy has such filters, and takes too long to import at an edge.
     high = np.pad(known, 1, constant_values=-np.inf)
     low = np.where(high == -np.inf, np.float32(np.inf), high)
     for axis in (0, 1):

@@ -45,7 +45,9 @@ MOST_OUTWARD = 0.9
 
 @dataclass(frozen=True, eq=False)
 class Edges:
-    """Pairs of neighbours a, b, in both directions, and their distance in metres, (n_edges,)."""
+    """Pairs of neighbours a, b, in both directions and ascending, and their distance in metres,
+    (n_edges,).
+    """
 
     a: Indices
     b: Indices
@@ -267,7 +269,8 @@ def _rigid(plane: Doubles, places: Doubles, frames: Doubles, edges: Edges) -> Do
     """The plane after `N_RIGID` rounds in which each neighbourhood is turned and joined."""
     local = _local(places, frames, edges)
     solve = Joined(edges, len(plane))
-    back = _reverse(edges)
+    # Pairs in ascending order, by the other point first: each edge in the other direction.
+    back = np.lexsort((edges.a, edges.b))
     for _ in range(N_RIGID):
         # The rotation, without a reflection, that is nearest to each moment.
         u, _, v = np.linalg.svd(_moments(plane, places, frames, edges))
@@ -277,16 +280,6 @@ def _rigid(plane: Doubles, places: Doubles, frames: Doubles, edges: Edges) -> Do
         step = np.einsum("eij,ej->ei", rotations[edges.a], local)
         plane = solve(0.5 * (step - step[back]))
     return plane
-
-
-def _reverse(edges: Edges) -> Indices:
-    """Index of each edge in the other direction."""
-    n = int(edges.a.max()) + 1
-    # A number for each pair of points.
-    forth = edges.a * n + edges.b
-    back = edges.b * n + edges.a
-    order = np.argsort(forth)
-    return order[np.searchsorted(forth[order], back)]
 
 
 class Joined:
