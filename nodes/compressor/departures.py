@@ -227,8 +227,7 @@ def _pooled(grids: Floats) -> Floats:
     upper = grids[:, ::2]
     lower = grids[:, 1::2]
     pairs = upper + lower
-    pooled: Floats = pairs[:, :, ::2] + pairs[:, :, 1::2]
-    return pooled
+    return pairs[:, :, ::2] + pairs[:, :, 1::2]
 
 
 @dataclass

@@ -124,5 +124,4 @@ def mean_of_near(values: Floats, is_known: Mask) -> Floats:
     known_values = np.where(is_known, values, np.float32(0))
     sums = of_nine(known_values, np.add)
     n_known = of_nine(is_known.astype(np.float32), np.add)
-    means: Floats = np.divide(sums, np.maximum(n_known, 1))
-    return means
+    return np.divide(sums, np.maximum(n_known, 1))

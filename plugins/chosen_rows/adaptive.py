@@ -230,8 +230,7 @@ class HeldRows:
         """Return the squared change of each node's details that its sum lets expect, (n_nodes,)."""
         # Both sums have noise, which is no change.
         change2 = np.square(self.sums - self.sums_read) - 2 * self._phi.variance
-        expected: Doubles = SUM_CHANGE * np.maximum(change2, 0)
-        return expected
+        return SUM_CHANGE * np.maximum(change2, 0)
 
     def end(self) -> Mask:
         """End a frame, of which all rows are read; return which nodes are untouched. What was read
@@ -306,8 +305,7 @@ class AdaptiveChoice:
 
         self._untouched = rows.end()
         self._drift[self._untouched] *= DRIFT_MEMORY
-        measurements: Floats = self._values[phi.rows].astype(np.float32)
-        return measurements
+        return self._values[phi.rows].astype(np.float32)
 
     def _read_most(self, score: Doubles, n_most: int, chosen: Mask, read: Read) -> int:
         """Read the unread nodes of highest score a measurement, above 0; return their rows."""

@@ -272,5 +272,4 @@ def _reflection(unit: Doubles) -> Doubles:
     normal = unit.copy()
     normal[0] += 1
     projection = 2 * np.outer(normal, normal) / (normal @ normal)
-    matrix: Doubles = np.eye(unit.size) - projection
-    return matrix
+    return np.eye(unit.size) - projection

@@ -212,8 +212,7 @@ def _cut(centred: Doubles, normals: Doubles, edges: Edges) -> Mask:
 def _crossing(angle: Doubles, edges: Edges, cut: float) -> Mask:
     """Edges whose points lie on the two sides of an angle, bool (n_edges,)."""
     past_cut = (angle - cut) % (2 * np.pi)
-    crossing: Mask = np.abs(past_cut[edges.a] - past_cut[edges.b]) > np.pi
-    return crossing
+    return np.abs(past_cut[edges.a] - past_cut[edges.b]) > np.pi
 
 
 def _scaled(edges: Edges, n: int) -> Doubles:

@@ -281,5 +281,4 @@ def _side(
     d = q - p
     e = r - p
     area = d[..., 0] * e[..., 1] - d[..., 1] * e[..., 0]
-    sign: npt.NDArray[np.float64] = np.sign(area)
-    return sign
+    return np.sign(area)

@@ -342,8 +342,7 @@ def block_of(kind: str, block: int | None) -> int:
     if block is not None:
         return block
     # A class of the user's own need not have one.
-    default: int = getattr(phi_class(kind), "default_block", BLOCK)
-    return default
+    return getattr(phi_class(kind), "default_block", BLOCK)
 
 
 @checked(PhiError)

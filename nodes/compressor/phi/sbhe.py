@@ -343,8 +343,7 @@ def neighbourhood_order(exists: Mask, side: int, rng: np.random.Generator) -> In
             parts.append(rng.permutation(taxels))
         # To and fro: a block that goes on in the next neighbourhood stays in one piece of skin.
         first_cols.reverse()
-    order: Indices = np.concatenate(parts).astype(np.intp)
-    return order
+    return np.concatenate(parts).astype(np.intp)
 
 
 @functools.cache

@@ -126,8 +126,7 @@ class Response:
         runs = np.diff(self.reading, axis=0, prepend=0.0)
         # Rises of all taxels beside the runs of each.
         shape = (-1, *(1,) * (runs.ndim - 1))
-        slopes: Doubles = rises.reshape(shape) / runs
-        return slopes
+        return rises.reshape(shape) / runs
 
     def forces(self, readings: npt.NDArray[Any]) -> Doubles:
         """Forces of readings, shape (..., n_rows, n_cols), any real dtype."""
