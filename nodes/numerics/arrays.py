@@ -26,6 +26,11 @@ LARGEST = 1e30
 """Largest size of a force: sums of 256 are within float32."""
 
 
+def mask_texts(mask: Mask) -> list[str]:
+    """A text a row, of 1 (a taxel) and 0 (none): a person reads it as a picture."""
+    return ["".join(row) for row in np.where(mask, "1", "0")]
+
+
 def has_masked(given: object) -> bool:
     """True for a masked array of NumPy of which some entries are masked."""
     # Whoever has one has imported its module; NumPy itself imports it late, since it takes long.

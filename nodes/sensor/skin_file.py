@@ -21,6 +21,7 @@ from sparseskin.nodes.errors import SourceError
 from sparseskin.nodes.files import whole_file
 from sparseskin.nodes.lookup import did_you_mean
 from sparseskin.nodes.numerics.array_files import ArrayFileError, read_npz
+from sparseskin.nodes.numerics.arrays import mask_texts
 from sparseskin.nodes.toml import parse_toml
 
 from .calibration.description import (
@@ -305,8 +306,7 @@ def _text(
     inline = {key: value for key, value in values.items() if key not in large}
     knots = inline.pop("response_reading", None)
     if skin.mask is not None and "mask" in inline:
-        rows = skin.mask.tolist()
-        inline["mask"] = ["".join("01"[cell] for cell in row) for row in rows]
+        inline["mask"] = mask_texts(skin.mask)
     if large:
         inline[ARRAYS] = archive
 

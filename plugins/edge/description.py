@@ -36,7 +36,7 @@ from sparseskin.nodes.compressor.phi.rotation import (
 from sparseskin.nodes.compressor.phi.sbhe import SbhePhi
 from sparseskin.nodes.compressor.quantiser import quantised
 from sparseskin.nodes.errors import SettingsError, SparseskinError
-from sparseskin.nodes.numerics.arrays import Mask
+from sparseskin.nodes.numerics.arrays import Mask, mask_texts
 from sparseskin.nodes.settings import Settings, setting
 from sparseskin.nodes.toml import parse_toml
 from sparseskin.plugins.boards.framing import Framing
@@ -130,8 +130,7 @@ class EdgeDescription(Settings):
         """
         texts = None
         if mask is not None:
-            # As the file states a mask: a text a row.
-            texts = tuple("".join(row) for row in np.where(mask, "1", "0"))
+            texts = tuple(mask_texts(mask))
         # The number of measurements depends on that of the taxels, which the mask decides.
         description = cls(
             n_rows,

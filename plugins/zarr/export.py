@@ -15,6 +15,7 @@ import zstandard
 from sparseskin.messages import Reconstruction, Taxels
 from sparseskin.messages.topics import split_topic
 from sparseskin.nodes.files import whole_folder
+from sparseskin.nodes.numerics.arrays import mask_texts
 from sparseskin.nodes.recorder.bag.format import BagError
 from sparseskin.nodes.recorder.bag.frames import (
     frame_topics,
@@ -229,10 +230,7 @@ def _attributes(bag: BagReader, patch: str) -> dict[str, Any]:
     if skin.pitch_m:
         attributes["pitch_m"] = skin.pitch_m
     if skin.mask is not None:
-        rows = []
-        for row in skin.mask:
-            rows.append("".join("1" if exists else "0" for exists in row))
-        attributes["mask"] = rows
+        attributes["mask"] = mask_texts(skin.mask)
     return attributes
 
 

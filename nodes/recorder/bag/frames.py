@@ -25,6 +25,7 @@ from sparseskin.messages.base import wire_fields
 from sparseskin.messages.frames import known_forces
 from sparseskin.messages.topics import split_topic, topic_of
 from sparseskin.messages.wire import SCHEMAS
+from sparseskin.nodes.numerics.arrays import mask_texts
 
 from .format import BagError, BagMessage
 from .reader import BagReader
@@ -117,11 +118,9 @@ def state_json(message: Message) -> dict[str, Any]:
     # Those of the publisher, not of the state.
     del values["run_id"]
     del values["seq"]
-    # A line of text for each row of taxels: a person reads it as a picture.
     mask = values.get("mask")
     if mask is not None:
-        rows = mask.astype(int).astype(str)
-        values["mask"] = ["".join(row) for row in rows]
+        values["mask"] = mask_texts(mask)
     for name, value in values.items():
         if hasattr(value, "tolist"):
             values[name] = value.tolist()
