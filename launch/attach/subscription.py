@@ -1,7 +1,5 @@
 """Messages of a topic of a running graph, for a program with a loop of its own."""
 
-from __future__ import annotations
-
 import contextlib
 import math
 import time

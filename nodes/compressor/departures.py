@@ -21,8 +21,6 @@ Source: Chernoff, "A measure of asymptotic efficiency for tests of a hypothesis 
 observations", Annals of Mathematical Statistics 23 (1952).
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -244,7 +242,7 @@ class Bounds:
     weights: Floats
     energy: Doubles
 
-    def put(self, patch: int, of_patch: Bounds) -> None:
+    def put(self, patch: int, of_patch: "Bounds") -> None:
         """Replace the bounds of a patch, by number, by those of a single one."""
         self.squares[patch] = of_patch.squares
         self.weights[patch] = of_patch.weights

@@ -1,7 +1,5 @@
 """The compressor node, at the edge: N taxels in, M linear combinations of them out."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from typing import Any, Self

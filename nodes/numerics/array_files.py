@@ -1,7 +1,5 @@
 """Arrays of .npy and .npz files from elsewhere: their sizes are checked before memory is used."""
 
-from __future__ import annotations
-
 import io
 import math
 import warnings

@@ -1,7 +1,5 @@
 """Array types that all nodes share."""
 
-from __future__ import annotations
-
 import hashlib
 import sys
 from collections.abc import Callable

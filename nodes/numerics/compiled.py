@@ -4,8 +4,6 @@ A class that is made of compiled loops imports `kernels`, and with it numba, at 
 module that chooses between it and its numpy twin imports it only where `use_compiled` is true.
 """
 
-from __future__ import annotations
-
 import fcntl
 import os
 import sys

@@ -11,8 +11,6 @@ of `REFERENCE` frames, and is solved all the same every `REFRESH` frames, so tha
 missed for longer. A skin has to state its noise.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

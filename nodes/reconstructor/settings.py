@@ -1,7 +1,5 @@
 """Settings of the reconstructor node, and its presets."""
 
-from __future__ import annotations
-
 import inspect
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace

@@ -12,8 +12,6 @@ network delay measurements", INFOCOM 1999; by the hull, L. Zhang, Z. Liu, C. H. 
 synchronization algorithms for network measurements", INFOCOM 2002.
 """
 
-from __future__ import annotations
-
 from collections import deque
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """A user's own sensor driver, named `module:callable`; each frame is checked before it is used."""
 
-from __future__ import annotations
-
 import itertools
 import math
 from collections.abc import Generator, Iterable, Iterator

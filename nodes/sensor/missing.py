@@ -1,7 +1,5 @@
 """Readings that are missing: cells of a frame that hold no number."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """The sensor node: acquires frames from a source and publishes the readings of the taxels."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Mapping
 from contextlib import ExitStack
 from dataclasses import replace

@@ -9,8 +9,6 @@ both ends, then clipped. The shape of the taper and its end value are not in the
 `PAPER_SIGMA_END_N`.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import KW_ONLY, dataclass
 
@@ -80,7 +78,7 @@ class NoiseModel:
                 )
 
     @classmethod
-    def for_range(cls, f_max: float, times: float = 1.0) -> NoiseModel:
+    def for_range(cls, f_max: float, times: float = 1.0) -> "NoiseModel":
         """Return `times` the paper's noise, scaled to another range; raises as the class does."""
         scale = f_max / PAPER_F_MAX_N
         sigma_mid = times * (scale * PAPER_SIGMA_MID_N)

@@ -1,7 +1,5 @@
 """Raw frames for a calibration: parts of a recording, or what a live source delivers now."""
 
-from __future__ import annotations
-
 import re
 import threading
 import time

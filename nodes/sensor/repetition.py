@@ -1,7 +1,5 @@
 """Repetition: how often noise lets a taxel read the same number again."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from typing import Any

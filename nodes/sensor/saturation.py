@@ -1,7 +1,5 @@
 """Readings outside the range of a skin, which are clipped to it: counts of each end."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field

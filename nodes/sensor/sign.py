@@ -1,7 +1,5 @@
 """Sign: whether readings rise with force, or fall below those at rest."""
 
-from __future__ import annotations
-
 import math
 from collections import deque
 from typing import Any

@@ -4,8 +4,6 @@ A file is untrusted until it has been checked: its size is bounded before it is 
 those of its arrays, which are numbers only and lie beside it.
 """
 
-from __future__ import annotations
-
 import json
 import os
 from collections.abc import Iterable, Mapping

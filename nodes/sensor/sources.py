@@ -1,7 +1,5 @@
 """Sources by their addresses: a scene, a file, a driver, or of a kind that a plug-in brings."""
 
-from __future__ import annotations
-
 import os
 from importlib.util import find_spec
 from typing import Any, cast

@@ -1,7 +1,5 @@
 """Zero: rest, sign and range of readings that a program hands over as arrays."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from sparseskin.messages import Reason

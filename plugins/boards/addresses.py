@@ -1,7 +1,5 @@
 """Addresses of boards: serial:DEVICE, udp:PORT and can:CHANNEL."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 

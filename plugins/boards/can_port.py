@@ -8,8 +8,6 @@ of which index and counter may be absent. With several arbitration ids, the id t
 one id the index does.
 """
 
-from __future__ import annotations
-
 import contextlib
 import re
 import time

@@ -5,8 +5,6 @@ Names and parameters of the CRCs are those of the catalogue by G. Cook
 CRC-16/IBM-3740 (also called CCITT-FALSE), crc16_xmodem, crc16_modbus, crc32 CRC-32/ISO-HDLC (zlib).
 """
 
-from __future__ import annotations
-
 import functools
 import operator
 from binascii import crc_hqx

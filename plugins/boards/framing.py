@@ -14,8 +14,6 @@ stream of bytes, of which some may be lost, extra or wrong:
   of bytes may fit as well: the start bytes can occur among the readings.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Literal, TypeAlias

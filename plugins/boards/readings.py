@@ -1,7 +1,5 @@
 """From frames to readings: pieces put together; type, order of the taxels, zero and scale."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any, Literal

@@ -1,7 +1,5 @@
 """A board on a serial port, opened by pyserial."""
 
-from __future__ import annotations
-
 import contextlib
 import fcntl
 import os

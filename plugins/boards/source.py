@@ -1,7 +1,5 @@
 """A board as a source of frames, and what the name of a source states of it."""
 
-from __future__ import annotations
-
 import dataclasses
 import time
 from collections import deque

@@ -1,7 +1,5 @@
 """A board that sends UDP packets."""
 
-from __future__ import annotations
-
 import re
 import select
 import socket

@@ -2,8 +2,6 @@
 rosbags, which needs no ROS.
 """
 
-from __future__ import annotations
-
 import functools
 from collections.abc import Iterable, Mapping
 from typing import Any

@@ -1,7 +1,5 @@
 """The command `sparseskin bridge`: a node beside a running graph that shows it to another tool."""
 
-from __future__ import annotations
-
 import argparse
 import os
 from typing import Any

@@ -1,7 +1,5 @@
 """The newest frame of a running graph, for a program with a loop of its own."""
 
-from __future__ import annotations
-
 import time
 from threading import Condition, Thread
 from typing import NamedTuple, TypeVar

@@ -1,7 +1,5 @@
 """Recordings of ROS as files of readings: .bag of ROS 1, .db3 and .mcap of ROS 2."""
 
-from __future__ import annotations
-
 import heapq
 from collections.abc import Collection, Iterator
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Frames from a topic of ROS 2: the source ros2:/TOPIC?domain=0&interface=lo."""
 
-from __future__ import annotations
-
 import sys
 import time
 from collections.abc import Iterator

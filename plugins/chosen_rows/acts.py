@@ -8,8 +8,6 @@ Source: Slepyan, Li, Aug, Sankar, Tran, Thakor, "Adaptive Compressive Tactile Su
 arXiv 2410.13847.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from types import MappingProxyType
 from typing import Any

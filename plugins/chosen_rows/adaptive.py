@@ -6,8 +6,6 @@ frame's choice, which travels with the measurements as a few bits a node of the 
 last measurement of every row.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from types import MappingProxyType
 

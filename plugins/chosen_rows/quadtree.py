@@ -1,7 +1,5 @@
 """An orthonormal basis of a skin as rows of W: sums of square tiles, and details of their parts."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import pairwise

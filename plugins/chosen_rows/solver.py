@@ -1,7 +1,5 @@
 """The default solver for rows that are chosen anew in each frame: held rows, then filtered."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """Study `control-loop`: the age of forces in a loop, by the way in which it gets them."""
 
-from __future__ import annotations
-
 import os
 import shutil
 import subprocess

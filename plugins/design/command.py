@@ -1,7 +1,5 @@
 """The command `sparseskin design`: what a skin would deliver, before it is built."""
 
-from __future__ import annotations
-
 import argparse
 import csv
 import sys

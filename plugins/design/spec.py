@@ -1,7 +1,5 @@
 """What a design states: the skin, its converters, bus, edge and host; from options or a file."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
@@ -47,7 +45,7 @@ EXAMPLE = "example:"
 """Start of a layout that comes with the package."""
 
 
-def _placement(layout: object) -> Placement:
+def _placement(layout: object) -> "Placement":
     """The virtual grid of a layout of points; SettingsError if it cannot be used."""
     # Imported here: with it comes SciPy's interpolation.
     from sparseskin.plugins.points.placing import placed

@@ -1,7 +1,5 @@
 """The command `sparseskin edge`: a compressor in C99 for a microcontroller."""
 
-from __future__ import annotations
-
 import argparse
 from pathlib import Path
 from typing import Any

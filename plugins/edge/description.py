@@ -4,8 +4,6 @@ A frame on the wire: start, sequence number, version, Phi, step, codes, CRC-16. 
 edge in Python: the bytes that its program sends, by the compressor's own Phi.
 """
 
-from __future__ import annotations
-
 import struct
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, fields, replace

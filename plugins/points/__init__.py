@@ -1,7 +1,5 @@
 """Plug-in `points`: skins whose taxels stand at free places, on a virtual grid; scenes on them."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 
 from sparseskin.nodes.sensor.calibration.description import Placement

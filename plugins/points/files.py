@@ -10,8 +10,6 @@
 A layout is a file, or `example:NAME` for one that is computed (`examples`).
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path

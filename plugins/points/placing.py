@@ -12,8 +12,6 @@ Transactions on Graphics 25(4), 2006; Bommes et al., "Mixed-integer quadrangulat
 Transactions on Graphics 28(3), 2009.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from functools import lru_cache

@@ -12,8 +12,6 @@ points", Stanford 2004; Liu et al., "A local/global approach to mesh parameteriz
 Graphics Forum 27(5), 2008.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np
@@ -53,7 +51,7 @@ class Edges:
     b: Indices
     length: Doubles
 
-    def only(self, choice: Mask) -> Edges:
+    def only(self, choice: Mask) -> "Edges":
         """Those of a choice, bool (n_edges,)."""
         return Edges(self.a[choice], self.b[choice], self.length[choice])
 

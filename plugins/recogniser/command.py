@@ -1,7 +1,5 @@
 """The command `sparseskin tasks`: models of the recogniser."""
 
-from __future__ import annotations
-
 import argparse
 from pathlib import Path
 

@@ -4,8 +4,6 @@ A joblib file is code: reading one runs whatever it holds. So it is read where a
 if it belongs to the user and nobody else can write it, and never from a recording or a message.
 """
 
-from __future__ import annotations
-
 import os
 import stat
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Training of a recogniser's model: frames of recordings, labels of a table."""
 
-from __future__ import annotations
-
 import csv
 import os
 from collections.abc import Sequence

@@ -1,7 +1,5 @@
 """MuJoCo models with a skin: the address of a source, and what a model must have."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import lru_cache
 from importlib.util import find_spec

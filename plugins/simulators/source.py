@@ -1,7 +1,5 @@
 """A MuJoCo model as a source of true forces."""
 
-from __future__ import annotations
-
 import re
 import sys
 from collections.abc import Callable, Iterator

@@ -10,8 +10,6 @@ Limits: an edge is felt where it is, not a taxel's radius before; there is no fr
 thinner than its penetration, or deeper than `depth_m`, reads `depth_m`.
 """
 
-from __future__ import annotations
-
 import copy
 from typing import Any
 

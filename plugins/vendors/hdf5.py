@@ -1,7 +1,5 @@
 """Arrays in files of HDF5, .h5, to which a .mat of version 7.3 belongs."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator
 from contextlib import contextmanager

@@ -1,7 +1,5 @@
 """What exports of grids, a frame after the other, have in common: cells, their mask, and times."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from itertools import pairwise
 from typing import Any

@@ -1,7 +1,5 @@
 """Study `wiring`: PSNR against the length of the wires, from local to scrambled sums."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Export of bags to a folder of Zarr, version 2, as tactile datasets have it."""
 
-from __future__ import annotations
-
 import json
 import math
 from collections.abc import Iterable, Sequence
@@ -139,8 +137,8 @@ def _names(topics: Sequence[str], side: str) -> dict[str, tuple[str, str]]:
 def _add_episode(
     bag: BagReader,
     topics: Sequence[str],
-    times: _Rows,
-    rows: dict[str, _Rows],
+    times: "_Rows",
+    rows: "dict[str, _Rows]",
     folder: Path,
     names: dict[str, tuple[str, str]],
 ) -> None:

@@ -1,7 +1,5 @@
 """Folders of Zarr, version 2: arrays in groups, of which those of tactile datasets are known."""
 
-from __future__ import annotations
-
 import bz2
 import itertools
 import json

@@ -1,7 +1,5 @@
 """The measurement matrix Phi: the interface of all kinds, and `make_phi` by name."""
 
-from __future__ import annotations
-
 import hashlib
 import re
 from abc import ABC, abstractmethod

@@ -1,7 +1,5 @@
 """Sums within rows of a row-column array: several columns driven at once, a conversion a row."""
 
-from __future__ import annotations
-
 import math
 from typing import Any
 

@@ -1,7 +1,5 @@
 """The scrambled block Hadamard ensemble, the paper's measurement matrix, and its local form."""
 
-from __future__ import annotations
-
 import functools
 import heapq
 import math

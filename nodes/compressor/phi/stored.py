@@ -1,7 +1,5 @@
 """Measurement matrices from a file, for hardware that exists."""
 
-from __future__ import annotations
-
 import functools
 from copy import copy
 from functools import cached_property

@@ -1,7 +1,5 @@
 """The interface of bases Psi, their registry, and `make_basis`."""
 
-from __future__ import annotations
-
 from abc import ABC, abstractmethod
 from collections.abc import Callable
 from typing import Any

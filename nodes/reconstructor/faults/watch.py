@@ -1,7 +1,5 @@
 """Faults of frames: found in measurements, innovations and forces, marked, and kept from them."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple

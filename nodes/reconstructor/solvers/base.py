@@ -1,7 +1,5 @@
 """The interface of solvers, their registry, and `make_solver`."""
 
-from __future__ import annotations
-
 import inspect
 import math
 from abc import ABC, abstractmethod

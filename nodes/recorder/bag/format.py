@@ -4,8 +4,6 @@ A bag is one MCAP file: unchanged wire payloads in LZ4 chunks that each carry a 
 index at the end, which is missing if the recorder was killed.
 """
 
-from __future__ import annotations
-
 import os
 from collections.abc import Iterable
 from dataclasses import dataclass

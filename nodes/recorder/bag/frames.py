@@ -1,7 +1,5 @@
 """Decoded frames of a bag, and the skins they belong to."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Iterator
 from typing import Any
 

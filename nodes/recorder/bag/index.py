@@ -4,8 +4,6 @@ It is read from the end of a complete bag if checksums prove the file whole. Any
 scanned up to its end or to the first break.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import io
 import json

@@ -1,7 +1,5 @@
 """A bag whose messages hold frames of several patches, read as one of a topic for each patch."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """Reader of bags: complete ones, and those that a killed recorder or a damaged disk left."""
 
-from __future__ import annotations
-
 import json
 import os
 import stat

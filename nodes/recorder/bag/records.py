@@ -4,8 +4,6 @@ Every length is checked against the file before anything is read, and every chun
 checksum. The functions raise `Break` with the byte from which on the file cannot be read.
 """
 
-from __future__ import annotations
-
 import bz2
 import io
 import struct

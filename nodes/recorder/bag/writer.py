@@ -1,7 +1,5 @@
 """Writer of bags: NAME.mcap.part while it grows, NAME.mcap once it is complete."""
 
-from __future__ import annotations
-
 import contextlib
 import dataclasses
 import io

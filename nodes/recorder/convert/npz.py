@@ -1,7 +1,5 @@
 """Export of a bag to .npz: arrays for NumPy, and for the sensor's `file:` source."""
 
-from __future__ import annotations
-
 import json
 import math
 import tempfile

@@ -1,7 +1,5 @@
 """From raw readings to forces: baseline, gains, response curve, drift, mask, range."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import Any

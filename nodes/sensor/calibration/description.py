@@ -1,7 +1,5 @@
 """The description of one skin: geometry, range and calibration, and its form as messages."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Protocol
@@ -305,12 +303,12 @@ class SkinDescription:
             forces[..., ~self.mask] = 0.0
         return forces
 
-    def inverted(self) -> SkinDescription:
+    def inverted(self) -> "SkinDescription":
         """This description for readings that fall where it has them rise with force."""
         gains = np.ones(self.shape) if self.gains is None else self.gains
         return replace(self, gains=-gains)
 
-    def on(self, skin: Skin, where: str) -> SkinDescription:
+    def on(self, skin: Skin, where: str) -> "SkinDescription":
         """This description for a source with a skin of its own: cells that it masks are masked.
         Raises SourceError, after `where`, if the source has another shape.
         """

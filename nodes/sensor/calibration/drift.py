@@ -11,8 +11,6 @@ deviations, of a taxel or of the mean of 3 x 3: the noise of a mean of nine is a
 as slowly as a drift is one.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

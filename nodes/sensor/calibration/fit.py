@@ -1,7 +1,5 @@
 """Calibration of a skin from untouched frames and presses of known weight."""
 
-from __future__ import annotations
-
 import math
 import re
 from collections.abc import Sequence

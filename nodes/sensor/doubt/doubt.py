@@ -1,7 +1,5 @@
 """Doubt: why the readings of a frame are not to be trusted, by rest, sign, range and repetition."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import Any
 

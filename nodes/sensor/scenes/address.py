@@ -1,7 +1,5 @@
 """Addresses of scenes: scene:NAME, on a flat grid or on points."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path

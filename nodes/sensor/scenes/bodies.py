@@ -11,8 +11,6 @@ deeper than 1 mm misses taxels. The cube is exact. tests/nodes/sensor/scenes/tes
 errors: 51 dB and more (PSNR), where the noise has 47 to 48 dB.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass

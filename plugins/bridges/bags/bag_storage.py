@@ -1,7 +1,5 @@
 """Recordings .bag of ROS 1, whose index is not used for messages: a killed recorder leaves none."""
 
-from __future__ import annotations
-
 import io
 import struct
 from collections.abc import Iterable, Iterator

@@ -1,7 +1,5 @@
 """Recordings .db3 of ROS 2, which are databases of SQLite."""
 
-from __future__ import annotations
-
 import sqlite3
 from collections.abc import Collection, Iterator
 from contextlib import closing, contextmanager

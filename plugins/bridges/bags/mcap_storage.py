@@ -1,7 +1,5 @@
 """Recordings .mcap of ROS."""
 
-from __future__ import annotations
-
 import io
 import struct
 from collections.abc import Iterable, Iterator

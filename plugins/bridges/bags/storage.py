@@ -1,7 +1,5 @@
 """A file of recorded messages: the interface, and files that are compressed or not closed."""
 
-from __future__ import annotations
-
 import os
 import shutil
 import tempfile

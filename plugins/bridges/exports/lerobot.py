@@ -2,8 +2,6 @@
 of tactile frames, the newest forces, and the strongest contacts.
 """
 
-from __future__ import annotations
-
 import contextlib
 import math
 import sys

@@ -4,8 +4,6 @@ Source of the layout: huggingface/lerobot, `src/lerobot/datasets/`, codebase ver
 lerobot 0.4.4 and 0.6.2.
 """
 
-from __future__ import annotations
-
 import contextlib
 import itertools
 import json

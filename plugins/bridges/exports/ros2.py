@@ -1,7 +1,5 @@
 """Export of a bag to a bag of ROS 2."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Iterable, Iterator
 from pathlib import Path
