@@ -7,13 +7,12 @@ from contextlib import contextmanager
 from typing import Any, Literal
 
 import numpy as np
-import numpy.typing as npt
 
 from sparseskin.messages.ranges import INT64_MAX, is_whole
 from sparseskin.messages.skin import PAPER_F_MAX_N, Skin
 from sparseskin.nodes.errors import SourceError
 from sparseskin.nodes.lookup import find_callable, one_line
-from sparseskin.nodes.numerics.arrays import Floats
+from sparseskin.nodes.numerics.arrays import AnyArray, Floats
 
 from .device_clock import DeviceClock
 from .layout.arrangement import (
@@ -208,7 +207,7 @@ class DriverSource(LiveSource):
         except Exception as error:
             raise _failure(self._target, error) from error
 
-    def _array_of(self, forces: object, where: str) -> npt.NDArray[Any]:
+    def _array_of(self, forces: object, where: str) -> AnyArray:
         """The numbers of a frame, as the driver returned them."""
         try:
             # A driver may return anything that NumPy reads.
@@ -243,7 +242,7 @@ class DriverSource(LiveSource):
 
         # A copy: a driver may fill the same array again.
         if array.dtype == np.float32:
-            values: npt.NDArray[Any] = array.copy()
+            values: AnyArray = array.copy()
         else:
             with np.errstate(all="ignore"):
                 # Compared below with numbers as they are stated, so without rounding.
@@ -264,7 +263,7 @@ class DriverSource(LiveSource):
             np.clip(values, 0, self._f_max, out=values)
         return values.astype(np.float32, copy=False)
 
-    def _mark_missing(self, values: npt.NDArray[Any], where: str) -> None:
+    def _mark_missing(self, values: AnyArray, where: str) -> None:
         """Set readings that are not finite to NaN. Raises SourceError where none may be missing."""
         is_number = np.isfinite(values)
         if is_number.all():
@@ -277,13 +276,13 @@ class DriverSource(LiveSource):
             )
         values[~is_number] = np.nan
 
-    def _arranged(self, array: npt.NDArray[Any], where: str) -> npt.NDArray[Any]:
+    def _arranged(self, array: AnyArray, where: str) -> AnyArray:
         """The readings of a frame (rows, cols), by the layout; all frames have one shape."""
         if self._arrangement is None or array.shape != self._shape:
             axes = [Axis(size) for size in array.shape]
             self._arrangement = arrange(self._layout, axes, where)
             self._shape = array.shape
-        frame: npt.NDArray[Any] = self._arrangement.frames(array[None])[0]
+        frame: AnyArray = self._arrangement.frames(array[None])[0]
         return frame
 
     def _checked_skin(self, skin: object) -> Skin:

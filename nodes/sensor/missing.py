@@ -4,10 +4,9 @@ from collections.abc import Iterable
 from dataclasses import replace
 
 import numpy as np
-import numpy.typing as npt
 
 from sparseskin.messages.skin import Skin
-from sparseskin.nodes.numerics.arrays import Floats, Mask, mean_of_near
+from sparseskin.nodes.numerics.arrays import Bytes, Floats, Mask, mean_of_near
 
 from .layout.layout import HOLD, MASK, ZERO
 
@@ -50,9 +49,7 @@ class MissingReadings:
         self._previous: Floats = np.zeros(skin.shape, np.float32)
         self._lines: list[str] = []
 
-    def fill(
-        self, forces: Floats, stamp_ns: int
-    ) -> tuple[Floats, npt.NDArray[np.uint8] | None] | None:
+    def fill(self, forces: Floats, stamp_ns: int) -> tuple[Floats, Bytes | None] | None:
         """Fill a frame of `stamp_ns`, as of its source: float32 (n_rows, n_cols), not modified.
 
         Returns its forces, 0 in masked cells, and the bits of those that are missing, as in

@@ -6,7 +6,6 @@ from dataclasses import replace
 from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
 from sparseskin.messages import (
     Calibration,
@@ -19,7 +18,7 @@ from sparseskin.messages import (
 )
 from sparseskin.nodes.errors import RefusedError, SettingsError, SourceError
 from sparseskin.nodes.node import Context, SourceNode, Tick
-from sparseskin.nodes.numerics.arrays import Floats
+from sparseskin.nodes.numerics.arrays import Bytes, Floats
 
 from .calibration.chain import Chain
 from .calibration.description import Placement, SkinDescription, of_skin
@@ -41,7 +40,7 @@ WAIT_S = 0.05
 """Longest wait for a frame of a board, seconds; chosen: commands and signals wait no longer."""
 LOG_S = 10
 """Least time between two lines of clipped readings, seconds; chosen: a log stays readable."""
-_Bits = npt.NDArray[np.uint8]
+_Bits = Bytes
 
 
 class _Frame(NamedTuple):

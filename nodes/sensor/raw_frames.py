@@ -3,12 +3,11 @@
 import re
 import threading
 import time
-from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from sparseskin.nodes.errors import SourceError, SparseskinError
+from sparseskin.nodes.numerics.arrays import AnyArray
 
 from .calibration.fit import CalibrationError
 from .layout.layout import EMPTY, Layout
@@ -23,7 +22,7 @@ POLL_S = 0.01
 PARTS = "seconds as 3s, or START-STOPs as 5-8s"
 _PART = re.compile(r"(?:(\d{1,6}(?:\.\d{1,6})?)-)?(\d{1,6}(?:\.\d{1,6})?)s")
 
-Frames = npt.NDArray[Any]
+Frames = AnyArray
 
 
 def read_part(text: str) -> tuple[float, float] | None:

@@ -12,14 +12,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from sparseskin.messages.errors import MessageError
 from sparseskin.nodes.errors import SourceError
 from sparseskin.nodes.files import whole_file
 from sparseskin.nodes.lookup import did_you_mean
 from sparseskin.nodes.numerics.array_files import ArrayFileError, read_npz
-from sparseskin.nodes.numerics.arrays import mask_texts
+from sparseskin.nodes.numerics.arrays import AnyArray, mask_texts
 from sparseskin.nodes.toml import parse_toml
 
 from .calibration.description import (
@@ -219,7 +218,7 @@ def _load_arrays(name: object, folder: Path, n_cells: int) -> dict[str, Any]:
     return {BESIDE[key]: array.copy() for key, array in arrays.items()}
 
 
-def _array(key: str, value: Any, skin: SkinDescription) -> npt.NDArray[Any]:
+def _array(key: str, value: Any, skin: SkinDescription) -> AnyArray:
     """The value of a key as an array. Its shape is checked with those of the others."""
     if key == "mask":
         return parse_mask(value, skin.shape, key)

@@ -3,13 +3,12 @@
 import heapq
 from collections.abc import Collection, Iterator
 from pathlib import Path
-from typing import Any, NamedTuple
-
-import numpy.typing as npt
+from typing import NamedTuple
 
 from sparseskin.messages.text import printable
 from sparseskin.nodes.errors import SourceError
 from sparseskin.nodes.numerics.array_files import MAX_GROWN_BYTES, MAX_GROWTH
+from sparseskin.nodes.numerics.arrays import AnyArray
 from sparseskin.nodes.recorder.bag.records import MAGIC as MCAP_MAGIC
 from sparseskin.nodes.sensor.files.format import Format
 from sparseskin.nodes.sensor.files.recording import (
@@ -149,7 +148,7 @@ class RosRecording(Recording):
         yield from gathered(self._frames(stream), self.tally)
         self._account(stream.topic)
 
-    def _frames(self, stream: Stream) -> Iterator[tuple[npt.NDArray[Any], int | float]]:
+    def _frames(self, stream: Stream) -> Iterator[tuple[AnyArray, int | float]]:
         """Numbers and times of messages."""
         dtype = stream.first.numbers.values.dtype.newbyteorder("=")
         is_stated = self._layout.n_stated is not None

@@ -148,7 +148,7 @@ class AdaptivePhi(Phi):
         self.chosen = chosen
         self.rows = np.flatnonzero(measured)
 
-    def dense(self) -> npt.NDArray[np.float64]:
+    def dense(self) -> Doubles:
         """As of `Phi`, in float64 throughout."""
         unit_rows = np.eye(self.n)[self.rows]
         return np.array([self.tree.synthesis(row) for row in unit_rows])

@@ -34,7 +34,7 @@ from sparseskin.nodes.compressor.phi.rotation import (
 from sparseskin.nodes.compressor.phi.sbhe import SbhePhi
 from sparseskin.nodes.compressor.quantiser import quantised
 from sparseskin.nodes.errors import SettingsError, SparseskinError
-from sparseskin.nodes.numerics.arrays import Mask, mask_texts
+from sparseskin.nodes.numerics.arrays import Indices, Integers, Mask, mask_texts
 from sparseskin.nodes.settings import Settings, setting
 from sparseskin.nodes.toml import parse_toml
 from sparseskin.plugins.boards.framing import Framing
@@ -158,7 +158,7 @@ class EdgeDescription(Settings):
         return np.array([[cell == "1" for cell in row] for row in texts])
 
     @cached_property
-    def cells(self) -> npt.NDArray[np.intp]:
+    def cells(self) -> Indices:
         """Cell of each taxel, intp, shape (n_taxels,), ascending."""
         return np.flatnonzero(self.exists)
 
@@ -288,7 +288,7 @@ class EdgeFrame(NamedTuple):
 
     phi: str
     step: float
-    codes: npt.NDArray[np.int32]
+    codes: Integers
 
     def measurements(self, bits: int, unit: float) -> Quantised:
         """Return the measurements; `unit` is the force of one count."""

@@ -7,13 +7,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 import zstandard
 
 from sparseskin.messages import Reconstruction, Taxels
 from sparseskin.messages.topics import split_topic
 from sparseskin.nodes.files import whole_folder
-from sparseskin.nodes.numerics.arrays import mask_texts
+from sparseskin.nodes.numerics.arrays import AnyArray, Floats, mask_texts
 from sparseskin.nodes.recorder.bag.format import BagError
 from sparseskin.nodes.recorder.bag.frames import (
     frame_topics,
@@ -143,7 +142,7 @@ def _add_episode(
     names: dict[str, tuple[str, str]],
 ) -> None:
     """Append the rows of a bag."""
-    newest: dict[str, npt.NDArray[np.float32]] = {}
+    newest: dict[str, Floats] = {}
     for message, _ in streams(bag, topics, "export"):
         frame = values_of(message)
         if frame is None:
@@ -232,13 +231,13 @@ def _attributes(bag: BagReader, patch: str) -> dict[str, Any]:
     return attributes
 
 
-def _write_whole(folder: Path, array: npt.NDArray[Any]) -> None:
+def _write_whole(folder: Path, array: AnyArray) -> None:
     folder.mkdir()
     _write_chunk(folder / ".".join("0" * array.ndim), array)
     _write_head(folder, array.shape, array)
 
 
-def _write_head(folder: Path, sides: tuple[int, ...], chunk: npt.NDArray[Any]) -> None:
+def _write_head(folder: Path, sides: tuple[int, ...], chunk: AnyArray) -> None:
     fill_value: int | str = ""
     if chunk.dtype.kind in "if":
         fill_value = 0
@@ -255,7 +254,7 @@ def _write_head(folder: Path, sides: tuple[int, ...], chunk: npt.NDArray[Any]) -
     _write_json(folder / ARRAY, head)
 
 
-def _write_chunk(path: Path, chunk: npt.NDArray[Any]) -> None:
+def _write_chunk(path: Path, chunk: AnyArray) -> None:
     path.write_bytes(zstandard.ZstdCompressor(LEVEL).compress(chunk.tobytes()))
 
 

@@ -16,12 +16,12 @@ from typing import Any
 
 import lz4.block
 import numpy as np
-import numpy.typing as npt
 import zstandard
 
 from sparseskin.messages.text import printable
 from sparseskin.nodes.errors import SourceError, not_installed
 from sparseskin.nodes.numerics.array_files import MAX_GROWN_BYTES, MAX_GROWTH
+from sparseskin.nodes.numerics.arrays import AnyArray
 from sparseskin.nodes.sensor.files.dataset_recording import DatasetRecording
 from sparseskin.nodes.sensor.files.datasets import MAX_ARRAYS, ArrayFile, Dataset
 from sparseskin.nodes.sensor.files.recording import File
@@ -145,7 +145,7 @@ class ZarrFolder(ArrayFile):
             sides = (len(self._frames), *dataset.sides[1:])
             self.datasets[key] = replace(dataset, sides=sides)
 
-    def whole(self, key: str) -> npt.NDArray[Any]:
+    def whole(self, key: str) -> AnyArray:
         stored = self._stored[key]
         if not stored.sides:
             return self._part(key, ())
@@ -155,7 +155,7 @@ class ZarrFolder(ArrayFile):
             return np.empty(stored.sides, stored.dtype)
         return np.concatenate(blocks)
 
-    def blocks(self, key: str, axis: int, size: int) -> Iterator[npt.NDArray[Any]]:
+    def blocks(self, key: str, axis: int, size: int) -> Iterator[AnyArray]:
         stored = self._stored[key]
         entries = range(stored.sides[axis])
         is_cut = self.datasets[key].sides != stored.sides and axis == 0
@@ -210,7 +210,7 @@ class ZarrFolder(ArrayFile):
                 f"{n_files_bytes}; at most {limit}"
             )
 
-    def _part(self, key: str, ranges: tuple[range, ...]) -> npt.NDArray[Any]:
+    def _part(self, key: str, ranges: tuple[range, ...]) -> AnyArray:
         """The numbers of an array in a range of each axis."""
         stored = self._stored[key]
         part = np.full([len(span) for span in ranges], stored.fill, stored.dtype)
@@ -240,7 +240,7 @@ class ZarrFolder(ArrayFile):
             part[tuple(places_in_part)] = chunk[tuple(places_in_chunk)]
         return part
 
-    def _chunk(self, key: str, place: tuple[int, ...]) -> npt.NDArray[Any] | None:
+    def _chunk(self, key: str, place: tuple[int, ...]) -> AnyArray | None:
         """One chunk; None where its numbers are those that fill the array."""
         stored = self._stored[key]
         # A number without axes is in chunk 0.

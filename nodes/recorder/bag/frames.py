@@ -4,7 +4,6 @@ from collections.abc import Iterable, Iterator
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 from tqdm import tqdm
 
 from sparseskin.messages import (
@@ -23,7 +22,7 @@ from sparseskin.messages.base import wire_fields
 from sparseskin.messages.frames import known_forces
 from sparseskin.messages.topics import split_topic, topic_of
 from sparseskin.messages.wire import SCHEMAS
-from sparseskin.nodes.numerics.arrays import mask_texts
+from sparseskin.nodes.numerics.arrays import Floats, mask_texts
 
 from .format import BagError, BagMessage
 from .reader import BagReader
@@ -140,7 +139,7 @@ def streams(
             yield message, recorded.log_time_ns
 
 
-def values_of(message: Message) -> npt.NDArray[np.float32] | None:
+def values_of(message: Message) -> Floats | None:
     """The forces of a frame of one patch, NaN where a reading is missing, or its measurements; None
     of another message.
     """

@@ -2,17 +2,16 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Protocol
+from typing import Protocol
 
 import numpy as np
-import numpy.typing as npt
 
 from sparseskin.messages import Calibration, SkinState
 from sparseskin.messages.errors import MessageError
 from sparseskin.messages.fields import MAX_ELEMENTS, MAX_SIDE, Integer, Real
 from sparseskin.messages.skin import Skin
 from sparseskin.nodes.errors import SourceError, SparseskinError
-from sparseskin.nodes.numerics.arrays import Doubles, Floats, Mask
+from sparseskin.nodes.numerics.arrays import AnyArray, Doubles, Floats, Integers, Mask
 
 MAX_NAME = 64
 """Longest name of a skin, characters."""
@@ -52,7 +51,7 @@ class Placement(Protocol):
     def skin(self, f_max: float, unit: str) -> Skin:
         """The skin of this grid with a range."""
 
-    def point_rows(self, exists: Mask) -> npt.NDArray[np.int32]:
+    def point_rows(self, exists: Mask) -> Integers:
         """Row of each taxel of a mask of the grid among those of the file, int32 (n_taxels,)."""
 
     def summary(self) -> Sequence[str]:
@@ -61,9 +60,7 @@ class Placement(Protocol):
     def check_size(self, n_readings: int) -> None:
         """Raise SourceError unless a frame of so many readings has one for each taxel."""
 
-    def on_grid(
-        self, values: npt.NDArray[Any], unused: float = 0.0
-    ) -> npt.NDArray[Any]:
+    def on_grid(self, values: AnyArray, unused: float = 0.0) -> AnyArray:
         """Readings in the order of the file on the grid, of the same dtype; `unused` in cells
         without a taxel. Raises SourceError as `check_size`.
         """
@@ -126,7 +123,7 @@ class Response:
         shape = (-1, *(1,) * (runs.ndim - 1))
         return rises.reshape(shape) / runs
 
-    def forces(self, readings: npt.NDArray[Any]) -> Doubles:
+    def forces(self, readings: AnyArray) -> Doubles:
         """Forces of readings, shape (..., n_rows, n_cols), any real dtype."""
         slopes = self.slopes
         forces: Doubles = slopes[0] * np.asarray(readings, dtype=np.float64)
@@ -287,7 +284,7 @@ class SkinDescription:
         steps = (self.baseline, self.gains, self.response)
         return any(step is not None for step in steps)
 
-    def forces(self, raw: npt.NDArray[Any]) -> Doubles:
+    def forces(self, raw: AnyArray) -> Doubles:
         """Forces of raw readings, shape (..., rows, cols), not clipped to the range; 0 in masked
         cells. A fresh array.
         """

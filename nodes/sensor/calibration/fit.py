@@ -4,13 +4,12 @@ import math
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any, Literal, NamedTuple
+from typing import Literal, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
 from sparseskin.nodes.errors import SparseskinError
-from sparseskin.nodes.numerics.arrays import Doubles, Mask
+from sparseskin.nodes.numerics.arrays import AnyArray, Doubles, Mask
 from sparseskin.nodes.sensor.sign import MAD_TO_SD
 
 from .description import MAX_KNOTS, MAX_NUMBER, Response, SkinDescription
@@ -55,7 +54,7 @@ class Press:
 
     label: str  # for reports, e.g. "500g"
     force: float  # total, newtons, above 0
-    frames: npt.NDArray[Any]  # (n, rows, cols), raw readings under the steady load
+    frames: AnyArray  # (n, rows, cols), raw readings under the steady load
     #: (rows, cols), True for the cells that carry the load evenly; None: only the total is known.
     area: Mask | None = None
 
@@ -121,7 +120,7 @@ class Fit:
 
 def fit(
     name: str,
-    untouched: npt.NDArray[Any],
+    untouched: AnyArray,
     presses: Sequence[Press] = (),
     *,
     f_max: float | None = None,
@@ -239,9 +238,7 @@ class _EvenLoad(NamedTuple):
     rise: Doubles
 
 
-def _checked_shape(
-    untouched: npt.NDArray[Any], presses: Sequence[Press]
-) -> tuple[int, int]:
+def _checked_shape(untouched: AnyArray, presses: Sequence[Press]) -> tuple[int, int]:
     """Rows and columns of all frames; CalibrationError if they differ, or there are too few."""
     if untouched.ndim != 3 or len(untouched) < 2:
         raise CalibrationError(
@@ -260,7 +257,7 @@ def _checked_shape(
 
 
 def _at_rest(
-    untouched: npt.NDArray[Any],
+    untouched: AnyArray,
     presses: Sequence[Press],
     exists: Mask,
     remarks: list[str],
@@ -330,7 +327,7 @@ def _with_range(
     return replace(skin, f_max=f_max, noise=float(f"{sigma:.3g}"), f_min=f_min)
 
 
-def steady(frames: npt.NDArray[Any]) -> tuple[Doubles, Doubles, Doubles]:
+def steady(frames: AnyArray) -> tuple[Doubles, Doubles, Doubles]:
     """Mean and standard deviation of each taxel over steady frames, and the share of its readings
     that are not steady, float64 (rows, cols) each.
 
@@ -375,7 +372,7 @@ def _rise(press: Press, at_rest: _Rest) -> Doubles:
     return rise
 
 
-def _stuck(untouched: npt.NDArray[Any], presses: Sequence[Press]) -> Mask:
+def _stuck(untouched: AnyArray, presses: Sequence[Press]) -> Mask:
     """Taxels whose reading never changes, where that of most does."""
     still = np.ones(untouched.shape[1:], dtype=np.bool_)
     for frames in (untouched, *(press.frames for press in presses)):

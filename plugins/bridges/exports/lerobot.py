@@ -11,7 +11,6 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-import numpy.typing as npt
 
 from sparseskin.messages import (
     Contacts,
@@ -23,7 +22,7 @@ from sparseskin.messages import (
 )
 from sparseskin.messages.topics import split_topic
 from sparseskin.nodes.files import OutputError, whole_folder
-from sparseskin.nodes.numerics.arrays import Floats
+from sparseskin.nodes.numerics.arrays import Floats, Indices
 from sparseskin.nodes.recorder.bag.format import BagError
 from sparseskin.nodes.recorder.bag.frames import (
     FRAME_SCHEMAS,
@@ -72,7 +71,7 @@ class _Stream:
         span_ns = float(self.times_ns[-1] - self.times_ns[0])
         return span_ns / max(1, len(self.times_ns) - 1)
 
-    def newest(self, times_ns: Times, back: int = 0) -> npt.NDArray[np.intp]:
+    def newest(self, times_ns: Times, back: int = 0) -> Indices:
         """Number of the frame `back` before the last one at or before each time, at least 0."""
         # Never a frame of later: a policy would see the future.
         newest_frames = np.searchsorted(self.times_ns, times_ns, side="right") - 1

@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from sparseskin.nodes.numerics.arrays import Floats
+from sparseskin.nodes.numerics.arrays import AnyArray, Floats
 from sparseskin.nodes.recorder.bag.format import BagError
 
 VERSION = "v3.0"
@@ -185,7 +185,7 @@ class Dataset:
             dirs_exist_ok=True,
         )
 
-    def _in_ns(self, seconds: npt.NDArray[Any]) -> Times:
+    def _in_ns(self, seconds: AnyArray) -> Times:
         """Timestamps, float32, in nanoseconds: multiples of 1 / fps where they are."""
         wide = seconds.astype(np.float64)
         # A float32 of some minutes is exact to some 30 us: rounding would shift frames.
@@ -426,7 +426,7 @@ def _write_tasks(path: Path) -> None:
     pq.write_table(table.replace_schema_metadata({"pandas": text}), path)
 
 
-def _stats(values: npt.NDArray[Any]) -> Stats:
+def _stats(values: AnyArray) -> Stats:
     """Statistics over the rows (axis 0)."""
     wide = values.astype(np.float64)
     levels = np.quantile(values, list(QUANTILES.values()), axis=0)
