@@ -14,7 +14,7 @@ from typing import Any
 
 from mcap.writer import CompressionType, Writer
 
-from sparseskin.messages import Message, MessageError, encode
+from sparseskin.messages import Message, encode
 from sparseskin.messages.base import omitted_fields, wire_fields
 from sparseskin.messages.fields import (
     Each,
@@ -26,8 +26,6 @@ from sparseskin.messages.fields import (
     Text,
     Words,
 )
-from sparseskin.messages.ranges import INT64_MAX
-from sparseskin.messages.topics import split_topic
 from sparseskin.messages.wire import MAX_MESSAGE_BYTES, SCHEMAS
 from sparseskin.nodes.errors import SparseskinError
 from sparseskin.nodes.files import place
@@ -179,10 +177,9 @@ class BagWriter(AbstractContextManager["BagWriter"]):
             raise BagError(f"{self.part}: {error.strerror}; {NOT_KEPT}") from error
 
     def write(self, message: BagMessage) -> None:
-        """Record the wire payload of one message, byte for byte. Raises BagError if the topic is
-        not /PATCH/SCHEMA, the schema is unknown, the payload is too large or a time is outside 0 ..
-        2**63 - 1; if the disk refuses (each later call then raises the same line, and the file is
-        not changed any more); or if the bag is closed.
+        """Record the wire payload of one message, byte for byte. Raises BagError if the schema is
+        unknown or the payload is too large; if the disk refuses (each later call then raises the
+        same line, and the file is not changed any more); or if the bag is closed.
         """
         self._check_open()
         topic, schema, log_time_ns, stamp_ns, payload = message
@@ -193,11 +190,6 @@ class BagWriter(AbstractContextManager["BagWriter"]):
                 f"{self.path}: a message of {n_bytes} bytes on {topic}, at most "
                 f"{MAX_MESSAGE_BYTES}"
             )
-        for name, time_ns in (("log time", log_time_ns), ("stamp", stamp_ns)):
-            if not 0 <= time_ns <= INT64_MAX:
-                raise BagError(
-                    f"{self.path}: {topic}: {name} {time_ns} is outside 0..2**63 - 1"
-                )
 
         # 32 bits in the file.
         empty = TopicInfo(schema, SCHEMAS[schema].version)
@@ -274,11 +266,6 @@ class BagWriter(AbstractContextManager["BagWriter"]):
         channel = self._channels.get((topic, schema))
         if channel is not None:
             return channel
-        # What a file states is checked once: names come from other programs, too.
-        try:
-            split_topic(topic)
-        except MessageError as error:
-            raise BagError(f"{self.path}: {error}") from error
         if schema not in SCHEMAS:
             hint = did_you_mean(schema, SCHEMAS)
             raise BagError(

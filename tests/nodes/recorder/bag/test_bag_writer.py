@@ -136,17 +136,12 @@ def test_a_path_that_cannot_be_written_is_named(tmp_path, name, text):
         BagWriter(tmp_path / name, {})
 
 
-@pytest.mark.parametrize(
-    ("change", "text"),
-    [({"schema": "taxel"}, "did you mean 'taxels'"), ({"stamp_ns": -1}, "outside")],
-)
-def test_what_cannot_be_recorded_is_refused_and_harms_nothing(tmp_path, change, text):
+def test_what_cannot_be_recorded_is_refused_and_harms_nothing(tmp_path):
     path = tmp_path / "a.mcap"
     with BagWriter(path, {}) as writer:
         good = record(writer, frame(0)[0])
-        message = BagMessage("/skin/taxels", "taxels", 1, 1, b"x")
-        with pytest.raises(BagError, match=text):
-            writer.write(message._replace(**change))
+        with pytest.raises(BagError, match="did you mean 'taxels'"):
+            writer.write(BagMessage("/skin/taxel", "taxel", 1, 1, b"x"))
     with BagReader(path) as bag:
         assert [message.payload for message in bag.messages()] == [good]
 
