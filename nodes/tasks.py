@@ -89,7 +89,7 @@ def computed(
         return
     # Whoever calls may have children of its own, which are left alone.
     children_before = set(multiprocessing.active_children())
-    executor: Executor = make_executor(executor_name)
+    executor = make_executor(executor_name)
     try:
         # Ctrl-C reaches the workers too; they inherit that they ignore it.
         with _interrupts_ignored():

@@ -76,7 +76,7 @@ def _cumulants_of_square(clips: bool) -> Doubles:
     Derived: a Gaussian integral over z > 0, and half of the weight at z = 0.
     """
     shrunk = 1 - 2 * _T_SQUARE
-    of_normal: Doubles = -0.5 * np.log(shrunk)
+    of_normal = -0.5 * np.log(shrunk)
     if not clips:
         return of_normal
 
@@ -361,7 +361,7 @@ class Departures:
         excess = self._excess * untouched_share[:, np.newaxis]
         excess *= np.float32(self._end**2)
         of_windows = of_score[:, np.newaxis] + excess
-        limits: Floats = np.float32(self._z) * np.sqrt(of_windows)
+        limits = np.float32(self._z) * np.sqrt(of_windows)
 
         of_energy = self._energy_of_readings
         if self._phis:

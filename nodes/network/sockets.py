@@ -78,7 +78,7 @@ _POLLIN = int(zmq.POLLIN)
 
 def make_context() -> Context:
     """Return a context whose sockets never delay the end of a process."""
-    context: Context = zmq.Context()
+    context = zmq.Context()
     context.linger = 0
     return context
 

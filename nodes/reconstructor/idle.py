@@ -104,7 +104,7 @@ class IdleWatch:
         self._age += 1
         due = self._age >= REFRESH
         self._age[due] = 0
-        solve: Mask = ~self.idle | self._struck | due
+        solve = ~self.idle | self._struck | due
         # The frame that completes the reference is solved, the next one is not.
         has_reference = (self._n >= REFERENCE).all(axis=0)
         complete = learns & has_reference

@@ -242,7 +242,7 @@ class DriverSource(LiveSource):
 
         # A copy: a driver may fill the same array again.
         if array.dtype == np.float32:
-            values: AnyArray = array.copy()
+            values = array.copy()
         else:
             with np.errstate(all="ignore"):
                 # Compared below with numbers as they are stated, so without rounding.

@@ -283,7 +283,7 @@ def _values(skin: SkinDescription) -> dict[str, Any]:
     """The values of a description by key, one number for an array of equal ones."""
     numbers = ("name", "n_rows", "n_cols", "pitch_mm", "unit", "f_max", *OF_NOISE)
     keys = (*numbers, *GRIDS, "points")
-    values: dict[str, Any] = {key: getattr(skin, key) for key in keys}
+    values = {key: getattr(skin, key) for key in keys}
     if skin.response is not None:
         values["response_reading"] = skin.response.reading
     for key in ("baseline", "gains"):

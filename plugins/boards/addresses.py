@@ -1,7 +1,6 @@
 """Addresses of boards: serial:DEVICE, udp:PORT and can:CHANNEL."""
 
 from collections.abc import Iterable, Mapping, Sequence
-from typing import Any
 
 from sparseskin.messages.text import printable
 from sparseskin.nodes.errors import not_installed
@@ -30,7 +29,7 @@ class BoardAddress(Address):
 
     def _board(self) -> Board:
         keys = ("n_rows", "n_cols", "unit", "f_max")
-        stated: dict[str, Any] = {key: getattr(self.layout, key) for key in keys}
+        stated = {key: getattr(self.layout, key) for key in keys}
         return describe_board(self.source, **stated)
 
     @classmethod

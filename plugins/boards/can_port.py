@@ -236,7 +236,7 @@ class CanPort(Port):
         self.check(self.address, settings)
         self._assembler.reset()
         self._parser.reset()
-        options: dict[str, Any] = {"channel": self.address, "fd": settings.fd}
+        options = {"channel": self.address, "fd": settings.fd}
         if settings.bitrate is not None:
             options["bitrate"] = settings.bitrate
         # Dropped by kernel or driver before this process is woken: other devices share the bus.

@@ -206,7 +206,7 @@ def read_file(path: Path) -> dict[str, Any]:
     except ValueError as error:
         # Also where its bytes are no UTF-8.
         raise SettingsError(f"{path}: no TOML: {error}") from error
-    keys: dict[str, Any] = dict(tree)
+    keys = dict(tree)
     # A relative path is one from the folder of the file.
     points = keys.get("points")
     if isinstance(points, str) and not points.startswith(EXAMPLE):

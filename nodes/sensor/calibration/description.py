@@ -289,7 +289,7 @@ class SkinDescription:
         cells. A fresh array.
         """
         # In float64: counts of a converter of 24 bits less a baseline near them.
-        forces: Doubles = np.array(raw, dtype=np.float64)
+        forces = np.array(raw, dtype=np.float64)
         if self.baseline is not None:
             forces -= self.baseline
         if self.gains is not None:
