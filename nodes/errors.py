@@ -16,6 +16,11 @@ class SparseskinError(Exception):
         return "\n".join(map(printable, lines))
 
 
+def counted(n: int, noun: str) -> str:
+    """A number of things for a sentence: "1 frame", "2 frames"."""
+    return f"{n} {noun}" if n == 1 else f"{n} {noun}s"
+
+
 def not_installed(package: str, extra: str) -> str:
     """The fault that a package is missing, and the command that installs it: that of an extra."""
     return f"{package} is not installed: pip install 'sparseskin[{extra}]'"

@@ -98,8 +98,9 @@ def load(group: str, name: str, error: type[SparseskinError], where: str = "") -
         return point.load()
     # A plug-in may raise anything.
     except Exception as cause:
-        fault = f"plug-in {point.value}: {one_line(cause)}"
-        raise error(f"{where or name}: {fault}") from cause
+        raise error(
+            f"{where or name}: plug-in {point.value}: {one_line(cause)}"
+        ) from cause
 
 
 @cache

@@ -33,8 +33,9 @@ def state_folder() -> Path:
         try:
             folder = Path.home() / ".local" / "state"
         except RuntimeError as error:
-            text = "no home directory is known; set XDG_STATE_HOME"
-            raise SparseskinError(text) from error
+            raise SparseskinError(
+                "no home directory is known; set XDG_STATE_HOME"
+            ) from error
     return folder / "sparseskin"
 
 

@@ -175,8 +175,9 @@ def check_patches(place: str, names: tuple[str, ...]) -> None:
             raise SettingsError(f"{place}[{k}]: '{name}' occurs twice")
     # As they travel: in one text, with spaces between them.
     if len(" ".join(names)) > MAX_NAMES:
-        limit = f"more than {MAX_NAMES} characters"
-        raise SettingsError(f"{place}: {limit} of names in all")
+        raise SettingsError(
+            f"{place}: more than {MAX_NAMES} characters of names in all"
+        )
 
 
 def _if_finite(limit: float) -> float | None:

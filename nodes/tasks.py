@@ -35,11 +35,9 @@ SINGLE_THREADED = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 def make_executor(spec: str) -> Executor:
     """Make an executor, or raise SettingsError.
 
-    `spec` is "serial", one task after the other; "process:N" or "thread:N", N workers on this host;
-    "module:factory", a user's callable that returns a `concurrent.futures.Executor`.
+    `spec` is "process:N" or "thread:N", N workers on this host; or "module:factory", a user's
+    callable that returns a `concurrent.futures.Executor`.
     """
-    if spec == SERIAL:
-        return ThreadPoolExecutor(1)
     place = f"--executor {spec}"
     kind, _, argument = spec.partition(":")
     # A factory of the user's own has no number.
@@ -79,7 +77,8 @@ def computed(
     `function`, at the top of a module, so that a worker finds it by name, takes one task. If the
     caller stops, by an exception or Ctrl-C, the tasks that are left are cancelled and worker
     processes of this host are ended. They end with this process, too, however it ends.
-    Raises SettingsError as `make_executor`.
+    Of the executor "serial" this thread computes them, one after the other. Raises SettingsError as
+    `make_executor`.
     """
     if not tasks:
         return
@@ -90,7 +89,7 @@ def computed(
         return
     # Whoever calls may have children of its own, which are left alone.
     children_before = set(multiprocessing.active_children())
-    executor: Executor = make_executor(executor_name)
+    executor = make_executor(executor_name)
     try:
         # Ctrl-C reaches the workers too; they inherit that they ignore it.
         with _interrupts_ignored():

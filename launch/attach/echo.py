@@ -164,8 +164,9 @@ def _contact_lines(message: Contacts, unit: str) -> Document:
 def _contact_line(message: Contacts, k: int, unit: str) -> str:
     """Contact k as text."""
     # How strong, where, how large, and since when.
-    total = f"{message.total[k]:.4g} ± {message.total_sd[k]:.2g}"
-    force = f"{total} {sum_unit(unit)}".rstrip()
+    force = (
+        f"{message.total[k]:.4g} ± {message.total_sd[k]:.2g} {sum_unit(unit)}".rstrip()
+    )
     peak = f"peak {message.peak[k]:.3g}"
     if unit:
         peak += f" {unit}"
@@ -279,8 +280,7 @@ class Echo(Display):
         """Print how many messages were shown, where no number was asked for."""
         if self._n is None:
             counts = f"{self._shown} shown, {self._skipped} not shown"
-            text = f"{self._topic}: {counts}, {self._losses.n} lost"
-            print(text, file=sys.stderr)
+            print(f"{self._topic}: {counts}, {self._losses.n} lost", file=sys.stderr)
 
     def text(self, message: Message) -> str:
         """A message as it is printed."""

@@ -5,12 +5,12 @@ import sys
 import time
 from collections import deque
 from itertools import islice
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from sparseskin.launch.run.running import RunningGraph
+from sparseskin.nodes.numerics.arrays import AnyArray
 from sparseskin.nodes.process.control import Document
 
 from .stream import Arrival, Display, Losses, quiet_reason
@@ -125,7 +125,7 @@ def _a_second(stamp_ns: Longs, amounts: Longs) -> float | None:
     return total * 1e9 / span_ns
 
 
-def _extent(values: npt.NDArray[Any]) -> dict[str, float] | None:
+def _extent(values: AnyArray) -> dict[str, float] | None:
     if not len(values):
         return None
     return {

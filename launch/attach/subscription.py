@@ -1,7 +1,5 @@
 """Messages of a topic of a running graph, for a program with a loop of its own."""
 
-from __future__ import annotations
-
 import contextlib
 import math
 import time
@@ -59,9 +57,9 @@ class Subscription:
                 f"subscribe: topic = {topic!r} is not allowed; allowed: a text"
             )
         if timeout_s is not None and not is_real(timeout_s, 0.0, MAX_TIMEOUT_S):
-            allowed = f"allowed: 0 to {MAX_TIMEOUT_S:g} seconds, or None"
             raise SettingsError(
-                f"subscribe: timeout_s = {timeout_s!r} is not allowed; {allowed}"
+                f"subscribe: timeout_s = {timeout_s!r} is not allowed; allowed: 0 to "
+                f"{MAX_TIMEOUT_S:g} seconds, or None"
             )
         # Waits for a graph that is starting.
         running = choose_graph(graph, option="graph")

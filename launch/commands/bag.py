@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from sparseskin.launch.attach.text import facts, flowing, size_text, table
-from sparseskin.nodes.errors import SourceError
+from sparseskin.nodes.errors import SourceError, counted
 from sparseskin.nodes.extensions import EXPORTS, loaded
 from sparseskin.nodes.lookup import find_callable
 from sparseskin.nodes.process.control import Document
@@ -61,19 +61,17 @@ def configure(parser: argparse.ArgumentParser) -> None:
     )
 
     recover = add("recover", _recover, "save the readable part of a broken recording")
-    about = f"NAME{FILE_SUFFIX}[{PART_SUFFIX}]"
     recover.add_argument(
         "bag",
         metavar="F.mcap",
         type=Path,
-        help=about,
+        help=f"NAME{FILE_SUFFIX}[{PART_SUFFIX}]",
     )
-    about = f"default: NAME_recovered{FILE_SUFFIX}"
     recover.add_argument(
         "--out",
         metavar="NEW",
         type=Path,
-        help=about,
+        help=f"default: NAME_recovered{FILE_SUFFIX}",
     )
 
     _configure_import(add("import", _import, "make a recording of a file of frames"))
@@ -82,13 +80,12 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 
 def _configure_export(export: argparse.ArgumentParser) -> None:
-    about = f"NAME{FILE_SUFFIX}; several for lerobot, zarr: an episode each"
     export.add_argument(
         "bags",
         metavar="F.mcap",
         type=Path,
         nargs="+",
-        help=about,
+        help=f"NAME{FILE_SUFFIX}; several for lerobot, zarr: an episode each",
     )
     export.add_argument(
         "--to",
@@ -97,27 +94,24 @@ def _configure_export(export: argparse.ArgumentParser) -> None:
         help="the format",
     )
     names = "NAME.npz, NAME_csv, NAME_ros2"
-    about = f"default: NAME and the ending of the format, as {names}"
     export.add_argument(
         "--out",
         metavar="PATH",
         type=Path,
-        help=about,
+        help=f"default: NAME and the ending of the format, as {names}",
     )
-    about = "only these topics; default: all with frames"
     export.add_argument(
         "--topics",
         metavar="TOPIC",
         nargs="+",
-        help=about,
+        help="only these topics; default: all with frames",
     )
     for name, option in _export_options().items():
-        about = f"of {', '.join(option.exports)}: {option.about}"
         rare(export).add_argument(
             f"--{name}",
             metavar=option.metavar,
             type=option.kind,
-            help=about,
+            help=f"of {', '.join(option.exports)}: {option.about}",
         )
 
 
@@ -154,12 +148,11 @@ def _configure_import(parser: argparse.ArgumentParser) -> None:
         type=_path,
         help="the recording",
     )
-    about = f"the recording, NAME{FILE_SUFFIX}; or a folder, for one a FILE"
     parser.add_argument(
         "--out",
         metavar="PATH",
         required=True,
-        help=about,
+        help=f"the recording, NAME{FILE_SUFFIX}; or a folder, for one a FILE",
     )
     add_layout(parser)
     about = (
@@ -172,12 +165,11 @@ def _configure_import(parser: argparse.ArgumentParser) -> None:
         type=whole(0, MAX_TARE_FRAMES),
         help=about,
     )
-    about = "further channels, as x,y: each becomes a patch of its own, skin_x"
     rare(parser).add_argument(
         "--keep",
         metavar="CHANNELS",
         default="",
-        help=about,
+        help="further channels, as x,y: each becomes a patch of its own, skin_x",
     )
     about = "readings fall with force: a force is the reading at rest less the reading"
     rare(parser).add_argument(
@@ -215,7 +207,7 @@ def _recover(arguments: argparse.Namespace) -> int:
         )
         n_messages = recover_bag(bag, out)
         print(f"{bag.path}: {bag.recovered or 'is whole'}")
-    print(f"{out}: {_count(n_messages, 'message')}")
+    print(f"{out}: {counted(n_messages, 'message')}")
     return 0
 
 
@@ -247,7 +239,7 @@ def _import(arguments: argparse.Namespace) -> int:
             )
         except SourceError as error:
             raise SourceError(as_options(str(error))) from error
-        print(f"{bag}: {_count(n_frames, 'frame')}")
+        print(f"{bag}: {counted(n_frames, 'frame')}")
     return 0
 
 
@@ -301,12 +293,6 @@ def _stated_options(arguments: argparse.Namespace) -> Document:
 
 def _stem(path: Path) -> str:
     return path.name.removesuffix(PART_SUFFIX).removesuffix(FILE_SUFFIX)
-
-
-def _count(n: int, what: str) -> str:
-    if n == 1:
-        return f"{n} {what}"
-    return f"{n} {what}s"
 
 
 def info_document(bag: "BagReader") -> Document:

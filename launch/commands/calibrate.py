@@ -75,13 +75,12 @@ def _add_presses(
     parser: argparse.ArgumentParser, rarely_used: argparse._ArgumentGroup
 ) -> None:
     """Options of the file that is written, of untouched frames, and of presses."""
-    about = "file to write, NAME.toml; large arrays lie beside it in NAME.npz"
     parser.add_argument(
         "--out",
         metavar="F.toml",
         type=Path,
         required=True,
-        help=about,
+        help="file to write, NAME.toml; large arrays lie beside it in NAME.npz",
     )
     about = "untouched frames: the first seconds (3s), a part of a recording (5-8s), or a file"
     parser.add_argument(
@@ -100,14 +99,16 @@ def _add_presses(
         action="append",
         help=about,
     )
-    about = "ask nothing: take no presses, or those of --press"
-    parser.add_argument("--no-questions", action="store_true", help=about)
-    about = "live sources: seconds to wait before each step, in place of Enter"
+    parser.add_argument(
+        "--no-questions",
+        action="store_true",
+        help="ask nothing: take no presses, or those of --press",
+    )
     rarely_used.add_argument(
         "--wait",
         metavar="S",
         type=real(above_0=False),
-        help=about,
+        help="live sources: seconds to wait before each step, in place of Enter",
     )
     about = "even loads of several weights: one curve for all taxels, one each, or none"
     rarely_used.add_argument(
@@ -122,8 +123,9 @@ def _add_readings(
     parser: argparse.ArgumentParser, rarely_used: argparse._ArgumentGroup
 ) -> None:
     """Options of what a skin and its readings are."""
-    about = "name of the skin; default: that of the file"
-    rarely_used.add_argument("--name", help=about)
+    rarely_used.add_argument(
+        "--name", help="name of the skin; default: that of the file"
+    )
     about = (
         "upper end of a taxel's range; default: 1.25 times the largest force of a press"
     )
@@ -137,22 +139,23 @@ def _add_readings(
         "unit of the readings where there are no presses; default: that of the source"
     )
     rarely_used.add_argument("--unit", help=about)
-    about = "distance of neighbouring taxels; default: that of the source"
     rarely_used.add_argument(
         "--pitch-mm",
         metavar="X",
         type=real(above_0=True),
-        help=about,
+        help="distance of neighbouring taxels; default: that of the source",
     )
-    about = "without a press: readings fall with force"
     rarely_used.add_argument(
         "--invert",
         choices=("true", "false"),
         default="false",
-        help=about,
+        help="without a press: readings fall with force",
     )
-    about = "let the range begin below 0, so that noise around 0 is not clipped"
-    rarely_used.add_argument("--keep-noise", action="store_true", help=about)
+    rarely_used.add_argument(
+        "--keep-noise",
+        action="store_true",
+        help="let the range begin below 0, so that noise around 0 is not clipped",
+    )
 
 
 def _calibrate(arguments: argparse.Namespace) -> int:
@@ -251,9 +254,9 @@ class _Steps:
 
     def _asked(self, force: float) -> Press | None:
         """Area and frames of a load that a person states; None if there are no frames."""
-        question = f"Area that carries it evenly ({AREAS}; empty: not known): "
         answer = self._answer(
-            question, lambda text: (f"@{text}", read_area(text, self._shape))
+            f"Area that carries it evenly ({AREAS}; empty: not known): ",
+            lambda text: (f"@{text}", read_area(text, self._shape)),
         )
         at, area = answer or ("", None)
         label = f"{force:.4g}N{at}"
@@ -261,8 +264,10 @@ class _Steps:
         if self._reader.is_live:
             frames = self._frames(f"{STEP_S:g}s", f"Put {label} on")
         else:
-            question = "Part of the recording (START-STOPs), or a file: "
-            frames = self._answer(question, lambda text: self._frames(text, ""))
+            frames = self._answer(
+                "Part of the recording (START-STOPs), or a file: ",
+                lambda text: self._frames(text, ""),
+            )
         if frames is None:
             return None
         return Press(label, force, frames, area)
@@ -405,19 +410,17 @@ def configure_tare(parser: argparse.ArgumentParser) -> None:
         "Take the next frames of the sensors of a running graph for the baseline; the skin must be "
         "untouched. Returns once it is done."
     )
-    about = "names of sensors; all that have a calibration by default"
     parser.add_argument(
         "nodes",
         metavar="NODE",
         nargs="*",
-        help=about,
+        help="names of sensors; all that have a calibration by default",
     )
-    about = "number of frames, whose median is taken (default: 30)"
     rare(parser).add_argument(
         "--frames",
         metavar="N",
         type=whole(1),
-        help=about,
+        help="number of frames, whose median is taken (default: 30)",
     )
     add_graph(parser, "one JSON document")
     parser.set_defaults(run=_tare)

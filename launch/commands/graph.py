@@ -71,12 +71,11 @@ def configure_stop(parser: argparse.ArgumentParser) -> None:
         "End a running graph as Ctrl-C does: its sources stop, frames under way reach the end. A "
         "second stop ends all nodes at once."
     )
-    about = "which graph, where several run on this host"
     parser.add_argument(
         "graph",
         metavar="NAME|PID",
         nargs="?",
-        help=about,
+        help="which graph, where several run on this host",
     )
     parser.set_defaults(run=_stop)
 

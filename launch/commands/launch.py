@@ -48,8 +48,11 @@ def configure(parser: argparse.ArgumentParser) -> None:
         "Start a graph of nodes, watch it, and print what the monitor measured."
     )
     parser.epilog = f"Bundled launch files: {', '.join(bundled_names())}. {STATUS_LINE}"
-    about = "launch file; or a recording, which is replayed as a skin"
-    parser.add_argument("name", metavar="NAME|FILE", help=about)
+    parser.add_argument(
+        "name",
+        metavar="NAME|FILE",
+        help="launch file; or a recording, which is replayed as a skin",
+    )
     add_set(
         parser,
         "change one setting of one node, or with graph.KEY=VALUE of the graph",
@@ -65,8 +68,11 @@ def configure(parser: argparse.ArgumentParser) -> None:
         "check the launch file (modules that it names are imported), print the graph"
     )
     parser.add_argument("--dry-run", action="store_true", help=about)
-    about = "run the part of this host, of a graph of several"
-    rare(parser).add_argument("--host", metavar="NAME", help=about)
+    rare(parser).add_argument(
+        "--host",
+        metavar="NAME",
+        help="run the part of this host, of a graph of several",
+    )
     parser.add_argument(
         "--record", metavar="F.mcap", help="record all topics into a file"
     )
@@ -268,13 +274,12 @@ def configure_keys(parser: argparse.ArgumentParser) -> None:
     make.add_argument(
         "name", metavar="NAME", help="name of the key, as a rule that of the host"
     )
-    about = f"folder to write to (default: {KEY_FOLDER})"
     make.add_argument(
         "--dir",
         metavar="D",
         type=Path,
         default=Path(KEY_FOLDER),
-        help=about,
+        help=f"folder to write to (default: {KEY_FOLDER})",
     )
 
 

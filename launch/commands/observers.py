@@ -23,8 +23,9 @@ def configure_monitor(parser: argparse.ArgumentParser) -> None:
         "--text", action="store_true", help="in this terminal, without a page"
     )
     add_page(parser)
-    about = "port of the page on 127.0.0.1; 8470 by default"
-    rare(parser).add_argument("--port", type=whole(0), help=about)
+    rare(parser).add_argument(
+        "--port", type=whole(0), help="port of the page on 127.0.0.1; 8470 by default"
+    )
     add_graph(parser)
     parser.set_defaults(run=_monitor)
 
@@ -33,12 +34,11 @@ def configure_record(parser: argparse.ArgumentParser) -> None:
     parser.description = (
         "Record topics of a running graph into an MCAP file, until it ends or Ctrl-C."
     )
-    about = "topics, all by default; * matches any text"
     parser.add_argument(
         "topics",
         metavar="TOPIC",
         nargs="*",
-        help=about,
+        help="topics, all by default; * matches any text",
     )
     parser.add_argument(
         "--out", metavar="F.mcap", help="file to write; named by graph and time"

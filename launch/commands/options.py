@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 from sparseskin.launch.attach.text import formatted, typed_value
 from sparseskin.messages.text import printable
-from sparseskin.nodes.errors import SettingsError, SparseskinError
+from sparseskin.nodes.errors import SettingsError, SparseskinError, counted
 from sparseskin.nodes.files import (
     NO_FOLDER,
     NO_WRITING,
@@ -62,8 +62,11 @@ def add_graph(parser: argparse.ArgumentParser, document: str = "") -> None:
     """Add --graph, as all commands beside a running graph have it, and --json, if it prints one."""
     if document:
         parser.add_argument("--json", action="store_true", help=f"print {document}")
-    about = "which graph, where several run on this host"
-    rare(parser).add_argument("--graph", metavar="NAME|PID", help=about)
+    rare(parser).add_argument(
+        "--graph",
+        metavar="NAME|PID",
+        help="which graph, where several run on this host",
+    )
 
 
 def add_page(
@@ -71,8 +74,11 @@ def add_page(
 ) -> None:
     """Add the options of the live page."""
     parser.add_argument("--open", action="store_true", help=about_open)
-    about = "serve the live page to all users of this host, without a token"
-    rare(parser).add_argument("--no-token", action="store_true", help=about)
+    rare(parser).add_argument(
+        "--no-token",
+        action="store_true",
+        help="serve the live page to all users of this host, without a token",
+    )
 
 
 USUAL_KEYS = ("n_rows", "n_cols", "unit", "rate_hz", "columns", "time", "topic")
@@ -212,12 +218,11 @@ def stated_values(
 
 def add_summary(parser: argparse.ArgumentParser) -> None:
     """Add --summary."""
-    about = "write the summary as JSON"
     rare(parser).add_argument(
         "--summary",
         metavar="OUT.json",
         type=Path,
-        help=about,
+        help="write the summary as JSON",
     )
 
 
@@ -286,11 +291,9 @@ def _end_lines(name: str, node: Mapping[str, Any]) -> Iterator[str]:
     # What went wrong comes before what was done.
     n_restarts = node.get("restarts", 0)
     if n_restarts:
-        times = "times"
-        if n_restarts == 1:
-            times = "time"
+        times = counted(n_restarts, "time")
         failure = printable(node["failures"][-1])
-        yield f"{name}: restarted {n_restarts} {times} after a failure; the last: {failure}"
+        yield f"{name}: restarted {times} after a failure; the last: {failure}"
     for line in node.get("lines", ()):
         yield f"{name}: {line}"
     if node.get("missing"):

@@ -46,12 +46,11 @@ def configure_play(parser: argparse.ArgumentParser) -> None:
         "up and down change the rate, q ends."
     )
     parser.add_argument("file", metavar="F.mcap", help="recording")
-    about = "times the recorded speed; 0: as fast as it is read"
     parser.add_argument(
         "--rate",
         type=real(False),
         metavar="R",
-        help=about,
+        help="times the recorded speed; 0: as fast as it is read",
     )
     parser.add_argument(
         "--loop",
@@ -86,12 +85,11 @@ def _add_rare_options(group: Any) -> None:
         metavar="T",
         help="topics to play",
     )
-    about = "send no frame before all readers have handled the last"
     group.add_argument(
         "--lockstep",
         action="store_true",
         default=None,
-        help=about,
+        help="send no frame before all readers have handled the last",
     )
     group.add_argument(
         "--wait",

@@ -38,12 +38,11 @@ def configure(parser: argparse.ArgumentParser) -> None:
         "change a setting of the compressor or the reconstructor",
         "NODE.KEY=VALUE",
     )
-    about = "file to write; a folder for several, made if it does not exist"
     parser.add_argument(
         "--out",
         metavar="G.mcap",
         required=True,
-        help=about,
+        help="file to write; a folder for several, made if it does not exist",
     )
     about = "recorded stream to start from; auto: measurements, unless the compressor is changed"
     rarely_used.add_argument(
@@ -53,8 +52,11 @@ def configure(parser: argparse.ArgumentParser) -> None:
         default=START_POINTS[0],
         help=about,
     )
-    about = f"where recordings are computed side by side: {FORMS}"
-    rarely_used.add_argument("--executor", metavar="WHERE", help=about)
+    rarely_used.add_argument(
+        "--executor",
+        metavar="WHERE",
+        help=f"where recordings are computed side by side: {FORMS}",
+    )
     add_summary(parser)
     parser.set_defaults(run=_reprocess)
 

@@ -62,8 +62,9 @@ def _sources(arguments: argparse.Namespace) -> int:
             listings += plugin.listings()
         except Exception as error:
             # The plug-in of any package may raise anything.
-            title = f"{kind}: cannot be listed: {one_line(error)}"
-            listings.append(Listing(kind, title, ()))
+            listings.append(
+                Listing(kind, f"{kind}: cannot be listed: {one_line(error)}", ())
+            )
     document = {listing.key: list(listing.entries) for listing in listings}
     return show(arguments, "source-list", document, _lines(listings))
 
@@ -271,8 +272,10 @@ class View:
         skin = self._source.skin
         size = f"{skin.n_rows} x {skin.n_cols} taxels"
         extent = f"0..{skin.f_max:g} {printable(skin.unit)}"
-        title = f"{printable(self._source.name)}   {size}, {extent}   (q: quit)"
-        lines = [title, self.text(now_s)]
+        lines = [
+            f"{printable(self._source.name)}   {size}, {extent}   (q: quit)",
+            self.text(now_s),
+        ]
         if self.forces is not None:
             lines.append(f"mean {self.forces.mean():.4g}, brightest {self.top:.4g}")
         if self._last_line:

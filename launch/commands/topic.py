@@ -41,12 +41,11 @@ def configure(parser: argparse.ArgumentParser) -> None:
         command.add_argument("topic", metavar="TOPIC", help="the topic, /PATCH/SCHEMA")
     echo.add_argument("--once", action="store_true", help="end after one message")
     for command in (echo, hz):
-        about = "end after S seconds"
         command.add_argument(
             "--duration",
             metavar="S",
             type=real(True),
-            help=about,
+            help="end after S seconds",
         )
         rare(command).add_argument(
             "-n",
@@ -54,8 +53,11 @@ def configure(parser: argparse.ArgumentParser) -> None:
             type=whole(1),
             help="end after K messages",
         )
-    about = "print one field; FIELD[I,J]: one element of an array"
-    echo.add_argument("--field", metavar="FIELD", help=about)
+    echo.add_argument(
+        "--field",
+        metavar="FIELD",
+        help="print one field; FIELD[I,J]: one element of an array",
+    )
     rare(echo).add_argument(
         "--full", action="store_true", help="print all elements of arrays"
     )

@@ -19,6 +19,7 @@ from sparseskin.nodes.compressor.node import CompressorSettings
 from sparseskin.nodes.errors import SparseskinError
 from sparseskin.nodes.lookup import did_you_mean
 from sparseskin.nodes.monitor.node import check_pose
+from sparseskin.nodes.numerics.arrays import mask_texts
 from sparseskin.nodes.sensor.calibration.description import SkinDescription
 from sparseskin.nodes.sensor.scenes.address import PITCH_MM
 from sparseskin.nodes.sensor.skin_file import MAX_FILE_CHARS, load_skin, parse_skin
@@ -109,9 +110,7 @@ class Patch:
             values |= {"n_rows": s.n_rows, "n_cols": s.n_cols}
             values["pitch_mm"] = s.pitch_mm or PITCH_MM
             if s.mask is not None and not s.mask.all():
-                # Texts of 0 and 1, as a file of a skin states it.
-                rows = s.mask.astype(int)
-                values["mask"] = ["".join(map(str, row)) for row in rows]
+                values["mask"] = mask_texts(s.mask)
         return {key: value for key, value in values.items() if value is not None}
 
 
@@ -256,8 +255,9 @@ def _skin(
             raise SparseskinError(f"{where}.{key}: is stated beside skin")
         skin = load_skin(folder / stated.skin)
     if skin.unit != "N":
-        allowed = "allowed for a simulated body: N"
-        raise SparseskinError(f"{where}.unit: '{skin.unit}'; {allowed}")
+        raise SparseskinError(
+            f"{where}.unit: '{skin.unit}'; allowed for a simulated body: N"
+        )
     return skin
 
 

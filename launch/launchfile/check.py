@@ -215,8 +215,7 @@ class Checker:
         for name in [*tables]:
             if name == LAUNCHER or name.startswith(LIVE_RECORDER):
                 names = f"'{LAUNCHER}' and '{LIVE_RECORDER}...'"
-                problem = f"{names} are names of the launcher's own"
-                self.fault(("nodes", name), problem)
+                self.fault(("nodes", name), f"{names} are names of the launcher's own")
                 del tables[name]
         return tables
 
@@ -245,12 +244,15 @@ class Checker:
             self.templates |= dict.fromkeys(of_batches, name)
             for node in of_batches:
                 if node in node_tables or (node != name and node in tables):
-                    problem = f"makes a node '{node}', of which there is one"
-                    self.fault(("nodes", name), problem)
+                    self.fault(
+                        ("nodes", name), f"makes a node '{node}', of which there is one"
+                    )
             node_tables |= of_batches
         if len(node_tables) > MAX_NODES:
-            problem = f"{len(node_tables)} nodes; at most {MAX_NODES} are allowed"
-            self.errors.append(f"{self.title}: {problem}")
+            self.errors.append(
+                f"{self.title}: {len(node_tables)} nodes; at most {MAX_NODES} are "
+                "allowed"
+            )
             raise LaunchError(self.errors[:MAX_ERRORS])
         return node_tables
 
@@ -409,8 +411,9 @@ class Checker:
         key = ".".join(place)[:MAX_ERROR]
         self.errors.append(f"{where}: {key}: {one_line_of(problem)}")
         if len(self.errors) >= MAX_ERRORS:
-            notice = f"{self.title}: perhaps more; these come first"
-            raise LaunchError([*self.errors, notice])
+            raise LaunchError(
+                [*self.errors, f"{self.title}: perhaps more; these come first"]
+            )
 
 
 def _setting_names(cls: type[Node[Any]]) -> set[str]:

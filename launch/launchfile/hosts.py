@@ -40,9 +40,9 @@ class Host(Settings):
         super().__post_init__()
         # That none is stated is reported as missing.
         if self.address and not _is_of_a_host(self.address):
-            allowed = "(allowed: the IPv4 address of one host, as 192.168.1.10)"
             raise SettingsError(
-                f"address: {self.address!r} is no address of a host {allowed}"
+                f"address: {self.address!r} is no address of a host (allowed: the IPv4 "
+                "address of one host, as 192.168.1.10)"
             )
 
 
@@ -72,8 +72,9 @@ class Security(Settings):
     def __post_init__(self) -> None:
         super().__post_init__()
         if any(map(bad_name, self.allow)):
-            expected = "expected a list of names of keys"
-            raise SettingsError(f"allow: {expected}, got {self.allow}")
+            raise SettingsError(
+                f"allow: expected a list of names of keys, got {self.allow}"
+            )
 
 
 def read_hosts(tree: Mapping[str, Any], fault: Fault) -> dict[str, Host]:

@@ -54,15 +54,19 @@ def check_processes(
         leader = leaders.setdefault(spec.process, spec)
         if spec.host != leader.host:
             place = f"{leader.host} ({leader.name})"
-            problem = f"{spec.process!r} is on {place}, this node on {spec.host}"
-            fault(("nodes", spec.name, "process"), problem)
+            fault(
+                ("nodes", spec.name, "process"),
+                f"{spec.process!r} is on {place}, this node on {spec.host}",
+            )
 
     for leader, *followers in by_process(specs.values()):
         # That of [graph] may be of a host with a single node.
         if leaders.get(leader.process) is leader and not followers:
             problem = f"{leader.process!r} has this node alone"
-            allowed = "(allowed: a process that other nodes state too)"
-            fault(("nodes", leader.name, "process"), f"{problem} {allowed}")
+            fault(
+                ("nodes", leader.name, "process"),
+                f"{problem} (allowed: a process that other nodes state too)",
+            )
         for spec in followers:
             _check_same(leader, spec, fault)
 
@@ -74,8 +78,10 @@ def _check_same(leader: NodeSpec, spec: NodeSpec, fault: Fault) -> None:
         if value == of_process[key]:
             continue
         difference = f"{value!r} here, {of_process[key]!r} of {leader.name}"
-        problem = f"{difference} in process {spec.process!r} (allowed: the same)"
-        fault(("nodes", spec.name, key), problem)
+        fault(
+            ("nodes", spec.name, key),
+            f"{difference} in process {spec.process!r} (allowed: the same)",
+        )
 
 
 def _settings_of_process(spec: NodeSpec) -> Table:

@@ -353,8 +353,9 @@ class Fleet:
             self._listen(node)
             if not node.ended and restarts.due_s is None:
                 names = _names(self._companions(node))
-                text = f"{names} ended too early: {exit_text(code)}"
-                self._died(node, EXIT_FAILED, text)
+                self._died(
+                    node, EXIT_FAILED, f"{names} ended too early: {exit_text(code)}"
+                )
 
     def _check_hang(self, node: NodeProcess, now_s: float) -> None:
         """Kill the process of a node that has been silent for too long: it is restarted then."""
@@ -372,8 +373,9 @@ class Fleet:
         have = "have"
         if len(nodes) == 1:
             have = "has"
-        silence = f"been silent for {hang_s:g} s"
-        self._log(f"[launch] {_names(nodes)} {have} {silence}: SIGKILL")
+        self._log(
+            f"[launch] {_names(nodes)} {have} been silent for {hang_s:g} s: SIGKILL"
+        )
         node.send_signal(signal.SIGKILL)
         # They die with it: their silence is no further hang.
         for companion in nodes:

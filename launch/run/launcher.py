@@ -106,8 +106,9 @@ class Launcher:
         for node in self._fleet:
             n_errors = node.counts.get("errors", 0)
             if n_errors:
-                text = f"{node.name} raised {n_errors} errors (see its log)"
-                self._terminal.log(f"[launch] {text}")
+                self._terminal.log(
+                    f"[launch] {node.name} raised {n_errors} errors (see its log)"
+                )
         return self._exit_code or self._fleet.late_code
 
     def _run(self) -> None:

@@ -48,8 +48,10 @@ class LogLines:
         # A new second, or the last chance to report what was cut.
         if at_end or now_s - self._since_s >= 1.0:
             if self._n_cut:
-                limit = f"more than {LOG_BYTES // 1000} kB a second"
-                complete.append(f"{self._n_cut} lines were cut ({limit})")
+                complete.append(
+                    f"{self._n_cut} lines were cut (more than {LOG_BYTES // 1000} kB a "
+                    "second)"
+                )
             self._since_s = now_s
             self._left = LOG_BYTES
             self._n_cut = 0
@@ -130,8 +132,9 @@ def start_process(
                 pass_fds=[*tallies, *chain(*channels)],
             )
     except OSError as error:
-        problem = f"cannot be started: {error.strerror}"
-        raise SparseskinError(f"{', '.join(names)}: {problem}") from error
+        raise SparseskinError(
+            f"{', '.join(names)}: cannot be started: {error.strerror}"
+        ) from error
 
     started = []
     for (spec, config), each in zip(nodes, pipes, strict=True):

@@ -50,8 +50,9 @@ class RunLog:
         except OSError as error:
             raise LaunchError([f"log_dir: {parent}: {error.strerror}"]) from error
         if os.fstat(self._fd).st_uid != os.geteuid():
-            problem = "another user changes what is in it"
-            raise LaunchError([f"log_dir: {parent}: {problem}"])
+            raise LaunchError(
+                [f"log_dir: {parent}: another user changes what is in it"]
+            )
         # Whoever may change `parent` can put a folder with links in the place of this one.
         self._opened = Path(f"/proc/self/fd/{self._fd}")
         if n_kept:

@@ -246,12 +246,17 @@ def choose_graph(name: str | None, option: str = "--graph") -> RunningGraph:
     deadline_s = time.monotonic() + PATIENCE_S
     # Only where no other graph can be meant is one that is starting waited for.
     if candidates and all(graph.starting for graph in candidates):
-        waiting = f"{candidates[0].label}: is starting; waiting until it runs"
-        print(waiting, file=sys.stderr, flush=True)
+        print(
+            f"{candidates[0].label}: is starting; waiting until it runs",
+            file=sys.stderr,
+            flush=True,
+        )
     while candidates and all(graph.starting for graph in candidates):
         if time.monotonic() >= deadline_s:
-            why = f"is still starting after {PATIENCE_S:g} s; its terminal shows what it waits for"
-            raise GraphError(f"{candidates[0].label}: {why}")
+            raise GraphError(
+                f"{candidates[0].label}: is still starting after {PATIENCE_S:g} s; its "
+                "terminal shows what it waits for"
+            )
         time.sleep(POLL_S)
         graphs = running_graphs(starting=True)
         candidates = _named(graphs, name)

@@ -5,8 +5,6 @@ is that of `Departures` for readings themselves, which the edge has all of: meas
 have a root of 3 times the noise of a taxel.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from sparseskin.messages import SkinState

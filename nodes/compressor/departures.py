@@ -21,8 +21,6 @@ Source: Chernoff, "A measure of asymptotic efficiency for tests of a hypothesis 
 observations", Annals of Mathematical Statistics 23 (1952).
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -78,7 +76,7 @@ def _cumulants_of_square(clips: bool) -> Doubles:
     Derived: a Gaussian integral over z > 0, and half of the weight at z = 0.
     """
     shrunk = 1 - 2 * _T_SQUARE
-    of_normal: Doubles = -0.5 * np.log(shrunk)
+    of_normal = -0.5 * np.log(shrunk)
     if not clips:
         return of_normal
 
@@ -227,8 +225,7 @@ def _pooled(grids: Floats) -> Floats:
     upper = grids[:, ::2]
     lower = grids[:, 1::2]
     pairs = upper + lower
-    pooled: Floats = pairs[:, :, ::2] + pairs[:, :, 1::2]
-    return pooled
+    return pairs[:, :, ::2] + pairs[:, :, 1::2]
 
 
 @dataclass
@@ -245,7 +242,7 @@ class Bounds:
     weights: Floats
     energy: Doubles
 
-    def put(self, patch: int, of_patch: Bounds) -> None:
+    def put(self, patch: int, of_patch: "Bounds") -> None:
         """Replace the bounds of a patch, by number, by those of a single one."""
         self.squares[patch] = of_patch.squares
         self.weights[patch] = of_patch.weights
@@ -364,7 +361,7 @@ class Departures:
         excess = self._excess * untouched_share[:, np.newaxis]
         excess *= np.float32(self._end**2)
         of_windows = of_score[:, np.newaxis] + excess
-        limits: Floats = np.float32(self._z) * np.sqrt(of_windows)
+        limits = np.float32(self._z) * np.sqrt(of_windows)
 
         of_energy = self._energy_of_readings
         if self._phis:

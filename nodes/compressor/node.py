@@ -1,7 +1,5 @@
 """The compressor node, at the edge: N taxels in, M linear combinations of them out."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from typing import Any, Self
@@ -159,8 +157,10 @@ class CompressorSettings(PatchesSettings):
         if kind == "full":
             return rows or FIXED, n
         if self.m is None and self.ratio > n:
-            fault = f"{self.ratio:g} leaves no measurement of {n} taxels"
-            raise PhiError(f"ratio: {fault}; allowed: 1..{n}")
+            raise PhiError(
+                f"ratio: {self.ratio:g} leaves no measurement of {n} taxels; allowed: "
+                f"1..{n}"
+            )
 
         m = self.m
         if m is None and kind.startswith(STORED):
@@ -423,8 +423,10 @@ class Compressor(Node[CompressorSettings]):
         skin_shape = (self._state.n_rows, self._state.n_cols)
         frame_shape = taxels.forces.shape[1:]
         if frame_shape != skin_shape:
-            fault = f"forces of shape {frame_shape}, but the skin has {skin_shape}"
-            raise RefusedError(f"{taxels.topic}: {fault}")
+            raise RefusedError(
+                f"{taxels.topic}: forces of shape {frame_shape}, but the skin has "
+                f"{skin_shape}"
+            )
 
     def _existing(self, forces: Floats) -> Floats:
         """Readings of the taxels that exist: float32, (k, n_rows, n_cols) to (k, n)."""

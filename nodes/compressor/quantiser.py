@@ -1,7 +1,5 @@
 """The quantiser at the edge: measurements in few bits."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from sparseskin.messages.quantised import Quantised, largest_code

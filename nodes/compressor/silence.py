@@ -1,7 +1,5 @@
 """Frames that are not sent because nothing has changed since the last ones that were."""
 
-from __future__ import annotations
-
 from typing import TYPE_CHECKING
 
 import numpy as np

@@ -9,6 +9,7 @@ from typing import Any
 from sparseskin.messages.contacts import sum_unit, summary
 from sparseskin.messages.reasons import Reason, phrase_of
 from sparseskin.messages.text import printable
+from sparseskin.nodes.errors import counted
 
 from .metrics import FLOAT_BITS, PatchMetrics
 
@@ -197,10 +198,7 @@ def _reasons(counts: Counter[str]) -> str:
         return "".join(f": {phrase_of(word)}" for word in counts)
     text = ""
     for word, count in counts.most_common():
-        frames = "frames"
-        if count == 1:
-            frames = "frame"
-        text += f"; in {count} {frames}: {phrase_of(word)}"
+        text += f"; in {counted(count, 'frame')}: {phrase_of(word)}"
     return text
 
 
@@ -340,9 +338,8 @@ def _since(stamp_ns: Any) -> str:
 def _many_table(graph: str, patches: Mapping[str, Summary]) -> str:
     """One row a patch: counts of frames, mean PSNR of all and of contact frames, latency."""
     # Patches of a body may have scenes of their own: what was launched names them all.
-    title = f" {printable(graph)}: {len(patches)} patches "
     rows = [
-        title.center(WIDTH, "="),
+        f" {printable(graph)}: {len(patches)} patches ".center(WIDTH, "="),
         f"{'':<12}{'frames':>8}{'skipped':>8}{'lost':>6}{'idle':>7}"
         f"{'PSNR dB':>10}{'contact':>8}{'latency p50':>12}{'p99 ms':>7}",
     ]

@@ -78,7 +78,7 @@ _POLLIN = int(zmq.POLLIN)
 
 def make_context() -> Context:
     """Return a context whose sockets never delay the end of a process."""
-    context: Context = zmq.Context()
+    context = zmq.Context()
     context.linger = 0
     return context
 
@@ -232,8 +232,9 @@ class Writer:
         else:
             self._n_subscriptions = max(0, self._n_subscriptions - 1)
         if self._n_subscriptions > MAX_SUBSCRIPTIONS:
-            excess = f"more than {MAX_SUBSCRIPTIONS} subscriptions"
-            self._log_once(f"{excess}: some reader misbehaves")
+            self._log_once(
+                f"more than {MAX_SUBSCRIPTIONS} subscriptions: some reader misbehaves"
+            )
 
     def _wants(self, topic: str) -> bool:
         """True if a reader may have subscribed to a topic; ZeroMQ subscribes by prefix."""

@@ -1,7 +1,5 @@
 """Arrays whose numbers stand in a stream one after the other, read by blocks along an axis."""
 
-from __future__ import annotations
-
 import io
 import math
 import shutil

@@ -1,7 +1,5 @@
 """Arrays of .npy and .npz files from elsewhere: their sizes are checked before memory is used."""
 
-from __future__ import annotations
-
 import io
 import math
 import warnings
@@ -87,8 +85,10 @@ def read_npz(
         size = sum(members[name].file_size for name in names)
         limit = most_bytes or max(MAX_GROWN_BYTES, MAX_GROWTH * n_bytes)
         if size > limit:
-            fault = f"its arrays would have {size} bytes, of a file of {n_bytes}"
-            raise ArrayFileError(f"{fault}; at most {limit}")
+            raise ArrayFileError(
+                f"its arrays would have {size} bytes, of a file of {n_bytes}; at most "
+                f"{limit}"
+            )
         return {name: _member(archive, members[name], name) for name in names}
 
 
@@ -137,8 +137,10 @@ def _check_size(shape: tuple[int, ...], dtype: np.dtype[Any], held: int) -> None
     is_negative = min(shape, default=0) < 0
     # Numbers of no bytes would be as many as the header states.
     if is_negative or stated != held or not dtype.itemsize:
-        text = f"{_shape(shape)} of {str(dtype)[:40]}, but {held} bytes follow"
-        raise ArrayFileError(f"its header states {text}")
+        raise ArrayFileError(
+            f"its header states {_shape(shape)} of {str(dtype)[:40]}, but {held} bytes "
+            "follow"
+        )
 
 
 def _member(archive: zipfile.ZipFile, member: zipfile.ZipInfo, name: str) -> AnyArray:

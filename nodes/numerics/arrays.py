@@ -1,7 +1,5 @@
 """Array types that all nodes share."""
 
-from __future__ import annotations
-
 import hashlib
 import sys
 from collections.abc import Callable
@@ -24,6 +22,11 @@ TINY = 1e-30
 that differ from 0, so that no other quotient changes."""
 LARGEST = 1e30
 """Largest size of a force: sums of 256 are within float32."""
+
+
+def mask_texts(mask: Mask) -> list[str]:
+    """A text a row, of 1 (a taxel) and 0 (none): a person reads it as a picture."""
+    return ["".join(row) for row in np.where(mask, "1", "0")]
 
 
 def has_masked(given: object) -> bool:
@@ -124,5 +127,4 @@ def mean_of_near(values: Floats, is_known: Mask) -> Floats:
     known_values = np.where(is_known, values, np.float32(0))
     sums = of_nine(known_values, np.add)
     n_known = of_nine(is_known.astype(np.float32), np.add)
-    means: Floats = np.divide(sums, np.maximum(n_known, 1))
-    return means
+    return np.divide(sums, np.maximum(n_known, 1))

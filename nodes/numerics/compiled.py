@@ -4,8 +4,6 @@ A class that is made of compiled loops imports `kernels`, and with it numba, at 
 module that chooses between it and its numpy twin imports it only where `use_compiled` is true.
 """
 
-from __future__ import annotations
-
 import fcntl
 import os
 import sys
@@ -49,8 +47,10 @@ def check_fast(fast: str) -> str:
         name = ENVIRONMENT
         fast = os.environ[ENVIRONMENT]
     if not isinstance(fast, str) or fast not in FAST:
-        fault = f"{fast!r} is not known{did_you_mean(str(fast), FAST)}"
-        raise SettingsError(f"{name}: {fault}; allowed: {', '.join(FAST)}")
+        raise SettingsError(
+            f"{name}: {fast!r} is not known{did_you_mean(str(fast), FAST)}; allowed: "
+            f"{', '.join(FAST)}"
+        )
     installed = fast == "off" or find_spec("numba") is not None
     if fast == "on" and not installed:
         raise SettingsError(f"{name}: 'on': {not_installed('numba', 'fast')}")

@@ -2,8 +2,6 @@
 it at installation, and stores the bytecode of the modules that nodes import.
 """
 
-from __future__ import annotations
-
 import os
 import sys
 from collections.abc import Callable, Iterable

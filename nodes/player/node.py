@@ -423,8 +423,8 @@ def _of_schemas(recorded: Iterable[str], settings: PlayerSettings) -> list[str]:
             topic = topic_of(patch, schema)
             topics.append(topic)
             if topic not in recorded and schema != Truth.schema:
-                place = f"{settings.file}, which has {', '.join(sorted(recorded))}"
                 raise SettingsError(
-                    f"schemas: {topic}: not in {place}; record it with them"
+                    f"schemas: {topic}: not in {settings.file}, which has "
+                    f"{', '.join(sorted(recorded))}; record it with them"
                 )
     return topics

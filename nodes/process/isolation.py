@@ -59,8 +59,9 @@ def child_status(name: str, work: Callable[[], None]) -> int:
     except SourceError as error:
         print(error, file=sys.stderr)
     except MemoryError:
-        fault = "needs more memory than is allowed to its reader"
-        print(f"{name}: {fault}", file=sys.stderr)
+        print(
+            f"{name}: needs more memory than is allowed to its reader", file=sys.stderr
+        )
     else:
         return 0
     return REFUSED

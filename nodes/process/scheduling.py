@@ -54,9 +54,10 @@ class Scheduling(Settings):
         try:
             os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(highest))
         except PermissionError as error:
-            limit = f"a limit rtprio of {highest} or more, as in limits.conf(5)"
-            text = f"{self.priority} is not permitted to this user (allowed: 0; or {limit})"
-            raise SettingsError(f"priority: {text}") from error
+            raise SettingsError(
+                f"priority: {self.priority} is not permitted to this user (allowed: 0; "
+                f"or a limit rtprio of {highest} or more, as in limits.conf(5))"
+            ) from error
         finally:
             os.sched_setscheduler(0, policy, parameters)
 

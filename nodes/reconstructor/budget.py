@@ -1,7 +1,5 @@
 """The time of a frame: how many steps of a solver fit into it on this host."""
 
-from __future__ import annotations
-
 import math
 import time
 from typing import NamedTuple

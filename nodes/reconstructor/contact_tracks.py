@@ -1,7 +1,5 @@
 """Contacts followed from frame to frame: their ids, velocities and events."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
@@ -43,7 +41,7 @@ class Tracks:
         # As many velocities as places: the rest of the rows in two halves.
         self.velocities, self.places = np.split(state[3:], 2)
 
-    def of(self, ids: list[int], places: Doubles) -> Tracks:
+    def of(self, ids: list[int], places: Doubles) -> "Tracks":
         """Contacts of other ids; those that are not among these begin now, at some places."""
         # As in nearly all frames.
         if ids == self.ids:

@@ -1,7 +1,5 @@
 """Contacts of a frame, found by a threshold with hysteresis."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Sequence, Set
 from dataclasses import dataclass

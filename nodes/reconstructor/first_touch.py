@@ -10,8 +10,6 @@ Where it is not, as of a skin with an offset, a touch without any contact lasts:
 frames then takes the place of the stated one, until measurements fall below it.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import NamedTuple
 

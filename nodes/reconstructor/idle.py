@@ -11,8 +11,6 @@ of `REFERENCE` frames, and is solved all the same every `REFRESH` frames, so tha
 missed for longer. A skin has to state its noise.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np
@@ -106,7 +104,7 @@ class IdleWatch:
         self._age += 1
         due = self._age >= REFRESH
         self._age[due] = 0
-        solve: Mask = ~self.idle | self._struck | due
+        solve = ~self.idle | self._struck | due
         # The frame that completes the reference is solved, the next one is not.
         has_reference = (self._n >= REFERENCE).all(axis=0)
         complete = learns & has_reference

@@ -3,8 +3,6 @@
 The numbers come from the study `stability`.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from typing import Any

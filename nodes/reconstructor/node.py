@@ -1,7 +1,5 @@
 """The reconstructor node, on the host: M measurements of each patch in, N forces out."""
 
-from __future__ import annotations
-
 import contextlib
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from itertools import compress

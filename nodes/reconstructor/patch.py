@@ -1,7 +1,5 @@
 """One patch of the reconstructor node: its solver, and what it learns from frame to frame."""
 
-from __future__ import annotations
-
 import math
 import sys
 import time
@@ -99,7 +97,7 @@ class Patch:
         subsets: list[Phi],
         state: SkinState,
         live: bool,
-        alike: Patch | None = None,
+        alike: "Patch | None" = None,
     ) -> dict[str, Any]:
         """Make the solver for a skin and the row subsets of its Phi; return what a `SolverState`
         states of it. What raises an error changes nothing. `live` is False where frames wait for
@@ -202,7 +200,7 @@ class Patch:
             )
         return most_steps, round(1e3 * frame_s, 3)
 
-    def _track(self, skin: SkinState, alike: Patch | None) -> None:
+    def _track(self, skin: SkinState, alike: "Patch | None") -> None:
         """Follow the contacts of a skin from now on, if the settings ask for it."""
         tracker = self._tracker
         if self.settings.contacts and not (tracker and tracker.fits(skin)):
@@ -229,7 +227,7 @@ class Patch:
             "step_tiles": step_tiles,
         }
 
-    def _watch_touches(self, skin: SkinState, alike: Patch | None) -> None:
+    def _watch_touches(self, skin: SkinState, alike: "Patch | None") -> None:
         """Watch the measurements of a skin for touches from now on, if it states its noise."""
         self._touch = None
         if not skin.sigma_end or phi_fact(self._subsets[0], "choice"):
@@ -371,7 +369,7 @@ class Patch:
         if self._tracker is not None:
             self._tracker.rest(until_ns)
 
-    def contacts(self, stamp_ns: int) -> Followed | None:
+    def contacts(self, stamp_ns: int) -> "Followed | None":
         """Contacts of the frame that was published last; None: there are none."""
         if self._tracker is None or self.solved is None:
             return None

@@ -1,7 +1,5 @@
 """Log lines of several patches: a kind of line for a few of them, what holds for all once."""
 
-from __future__ import annotations
-
 import re
 from collections import Counter
 from collections.abc import Callable

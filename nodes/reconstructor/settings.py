@@ -1,7 +1,5 @@
 """Settings of the reconstructor node, and its presets."""
 
-from __future__ import annotations
-
 import inspect
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
@@ -307,8 +305,10 @@ class ReconstructorSettings(PatchesSettings):
             with naming("solver"):
                 check_reads(solver_name, solver, kind, phi)
             if self.uncertainty and phi_fact(phi, "choice"):
-                fault = f"not available with phi {kind}, whose rows change each frame"
-                raise SettingsError(f"uncertainty: is {fault}; allowed: sbhe")
+                raise SettingsError(
+                    f"uncertainty: is not available with phi {kind}, whose rows change "
+                    "each frame; allowed: sbhe"
+                )
 
     def kind_of(self, announced: str) -> str:
         """The kind of phi that is made: the stated one, or that which the compressor announces."""

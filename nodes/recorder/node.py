@@ -1,7 +1,5 @@
 """The recorder: writes any topics into a bag, without slowing their publishers."""
 
-from __future__ import annotations
-
 import json
 import math
 import platform

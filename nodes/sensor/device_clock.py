@@ -12,8 +12,6 @@ network delay measurements", INFOCOM 1999; by the hull, L. Zhang, Z. Liu, C. H. 
 synchronization algorithms for network measurements", INFOCOM 2002.
 """
 
-from __future__ import annotations
-
 from collections import deque
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
@@ -285,7 +283,7 @@ class DeviceClock:
 
         if not is_good and self._y >= TUNING.doubt_ns and not self._is_doubted:
             self._is_doubted = True
-            fault = (
-                f"its stamps do not run as time does, within {TUNING.most_drift:.0%}"
+            self._log(
+                f"{self._name}: its stamps do not run as time does, within "
+                f"{TUNING.most_drift:.0%}; frames have the time of their arrival"
             )
-            self._log(f"{self._name}: {fault}; frames have the time of their arrival")

@@ -1,7 +1,5 @@
 """A user's own sensor driver, named `module:callable`; each frame is checked before it is used."""
 
-from __future__ import annotations
-
 import itertools
 import math
 from collections.abc import Generator, Iterable, Iterator
@@ -9,13 +7,12 @@ from contextlib import contextmanager
 from typing import Any, Literal
 
 import numpy as np
-import numpy.typing as npt
 
 from sparseskin.messages.ranges import INT64_MAX, is_whole
 from sparseskin.messages.skin import PAPER_F_MAX_N, Skin
 from sparseskin.nodes.errors import SourceError
 from sparseskin.nodes.lookup import find_callable, one_line
-from sparseskin.nodes.numerics.arrays import Floats
+from sparseskin.nodes.numerics.arrays import AnyArray, Floats
 
 from .device_clock import DeviceClock
 from .layout.arrangement import (
@@ -104,8 +101,10 @@ class DriverSource(LiveSource):
                 f"{target}: delivers = {shown(delivers)}; allowed are truth, taxels"
             )
         if n_frames is not None and not is_whole(n_frames, 0):
-            expected = "expected a whole number, or None if endless"
-            raise SourceError(f"{target}: n_frames = {shown(n_frames)}; {expected}")
+            raise SourceError(
+                f"{target}: n_frames = {shown(n_frames)}; expected a whole number, or "
+                "None if endless"
+            )
         check_number(target, "rate_hz", rate_hz)
 
         self.name: str = target
@@ -208,34 +207,42 @@ class DriverSource(LiveSource):
         except Exception as error:
             raise _failure(self._target, error) from error
 
-    def _checked_forces(self, forces: object, where: str) -> Floats:
+    def _array_of(self, forces: object, where: str) -> AnyArray:
+        """The numbers of a frame, as the driver returned them."""
         try:
             # A driver may return anything that NumPy reads.
             array = np.asarray(forces)
         except Exception as error:
-            fault = f"forces are no array of numbers ({shown(error, 120)})"
-            raise SourceError(f"{where}: {fault}") from error
+            raise SourceError(
+                f"{where}: forces are no array of numbers ({shown(error, 120)})"
+            ) from error
 
         if array.dtype.kind not in "iuf":
-            fault = f"forces have dtype {shown(array.dtype)}"
             raise SourceError(
-                f"{where}: {fault}; allowed are integers and floating point"
+                f"{where}: forces have dtype {shown(array.dtype)}; allowed are "
+                "integers and floating point"
             )
         # Counts of a converter would be read as newtons.
         if self._is_in_newtons and array.dtype.kind in "iu" and self._skin is None:
-            fault = "whole numbers, of which the driver states neither unit nor range"
-            raise SourceError(f"{where}: {fault}{ADD}unit={COUNTS} f_max=4095")
+            raise SourceError(
+                f"{where}: whole numbers, of which the driver states neither unit nor "
+                f"range{ADD}unit={COUNTS} f_max=4095"
+            )
+        return array
 
+    def _checked_forces(self, forces: object, where: str) -> Floats:
         # The first frame makes the skin; all later ones have its shape.
-        array = self._arranged(array, where)
+        array = self._arranged(self._array_of(forces, where), where)
         skin = self._skin
         if skin is not None and array.shape != skin.shape:
-            fault = f"forces have shape {array.shape}, but the skin has {skin.shape}"
-            raise SourceError(f"{where}: {fault}")
+            raise SourceError(
+                f"{where}: forces have shape {array.shape}, but the skin has "
+                f"{skin.shape}"
+            )
 
         # A copy: a driver may fill the same array again.
         if array.dtype == np.float32:
-            values: npt.NDArray[Any] = array.copy()
+            values = array.copy()
         else:
             with np.errstate(all="ignore"):
                 # Compared below with numbers as they are stated, so without rounding.
@@ -256,34 +263,35 @@ class DriverSource(LiveSource):
             np.clip(values, 0, self._f_max, out=values)
         return values.astype(np.float32, copy=False)
 
-    def _mark_missing(self, values: npt.NDArray[Any], where: str) -> None:
+    def _mark_missing(self, values: AnyArray, where: str) -> None:
         """Set readings that are not finite to NaN. Raises SourceError where none may be missing."""
         is_number = np.isfinite(values)
         if is_number.all():
             return
         if not self._layout.accepts_missing:
             row, col = np.argwhere(~is_number)[0]
-            fault = f"row {row}, column {col}: {values[row, col]} is no force"
-            hint = f"a fault of the sensor or its driver; {NAN_HINT}"
-            raise SourceError(f"{where}, {fault}; {hint}")
+            raise SourceError(
+                f"{where}, row {row}, column {col}: {values[row, col]} is no force; a "
+                f"fault of the sensor or its driver; {NAN_HINT}"
+            )
         values[~is_number] = np.nan
 
-    def _arranged(self, array: npt.NDArray[Any], where: str) -> npt.NDArray[Any]:
+    def _arranged(self, array: AnyArray, where: str) -> AnyArray:
         """The readings of a frame (rows, cols), by the layout; all frames have one shape."""
         if self._arrangement is None or array.shape != self._shape:
             axes = [Axis(size) for size in array.shape]
             self._arrangement = arrange(self._layout, axes, where)
             self._shape = array.shape
-        frame: npt.NDArray[Any] = self._arrangement.frames(array[None])[0]
+        frame: AnyArray = self._arrangement.frames(array[None])[0]
         return frame
 
     def _checked_skin(self, skin: object) -> Skin:
         """The driver's own skin. Raises SourceError if a setting contradicts it."""
         target = self._target
         if not isinstance(skin, Skin):
-            expected = "expected sparseskin.nodes.sensor.source.Skin"
             raise SourceError(
-                f"{target}: its skin is {type(skin).__name__}; {expected}"
+                f"{target}: its skin is {type(skin).__name__}; expected "
+                "sparseskin.nodes.sensor.source.Skin"
             )
         check_grid(skin.n_rows, skin.n_cols, target)
         # Which of the two is right, nobody knows: forces would be wrong by a factor.
@@ -291,9 +299,9 @@ class DriverSource(LiveSource):
             setting = getattr(self._layout, key)
             value = getattr(skin, key)
             if setting is not None and setting != value:
-                fault = f"{key} = {setting} is stated"
                 raise SourceError(
-                    f"{target}: {fault}, but the driver's skin has {value}"
+                    f"{target}: {key} = {setting} is stated, but the driver's skin has "
+                    f"{value}"
                 )
         self._f_max = float(skin.f_max)
         return skin
@@ -315,8 +323,10 @@ def open_callable(address: Address) -> DriverSource:
         driver = make()
     # Of the type, as `iter` looks it up.
     if not hasattr(type(driver), "__iter__"):
-        expected = "expected a generator or an iterable of (stamp_ns, forces)"
-        raise SourceError(f"{target}: returned {type(driver).__name__}; {expected}")
+        raise SourceError(
+            f"{target}: returned {type(driver).__name__}; expected a generator or an "
+            "iterable of (stamp_ns, forces)"
+        )
     return DriverSource(address, driver)
 
 
@@ -327,15 +337,19 @@ def _checked_pair(
     number after the one before, or of a clock that has begun again.
     """
     if not isinstance(item, tuple | list) or len(item) != 2:
-        fault = f"delivered {type(item).__name__}; expected a pair (stamp_ns, forces)"
-        raise SourceError(f"{where}: {fault}")
+        raise SourceError(
+            f"{where}: delivered {type(item).__name__}; expected a pair (stamp_ns, "
+            "forces)"
+        )
     stamp, forces = item
     if not is_whole(stamp):
-        fault = f"stamp_ns is {type(stamp).__name__}; expected whole nanoseconds"
-        raise SourceError(f"{where}: {fault}")
+        raise SourceError(
+            f"{where}: stamp_ns is {type(stamp).__name__}; expected whole nanoseconds"
+        )
     if previous_ns is not None and previous_ns - RESTART_NS < stamp <= previous_ns:
-        fault = f"stamp_ns {stamp} is not after the one before it, {previous_ns}"
-        raise SourceError(f"{where}: {fault}")
+        raise SourceError(
+            f"{where}: stamp_ns {stamp} is not after the one before it, {previous_ns}"
+        )
     return int(stamp), forces
 
 

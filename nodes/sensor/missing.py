@@ -1,15 +1,12 @@
 """Readings that are missing: cells of a frame that hold no number."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from dataclasses import replace
 
 import numpy as np
-import numpy.typing as npt
 
 from sparseskin.messages.skin import Skin
-from sparseskin.nodes.numerics.arrays import Floats, Mask, mean_of_near
+from sparseskin.nodes.numerics.arrays import Bytes, Floats, Mask, mean_of_near
 
 from .layout.layout import HOLD, MASK, ZERO
 
@@ -52,9 +49,7 @@ class MissingReadings:
         self._previous: Floats = np.zeros(skin.shape, np.float32)
         self._lines: list[str] = []
 
-    def fill(
-        self, forces: Floats, stamp_ns: int
-    ) -> tuple[Floats, npt.NDArray[np.uint8] | None] | None:
+    def fill(self, forces: Floats, stamp_ns: int) -> tuple[Floats, Bytes | None] | None:
         """Fill a frame of `stamp_ns`, as of its source: float32 (n_rows, n_cols), not modified.
 
         Returns its forces, 0 in masked cells, and the bits of those that are missing, as in
@@ -80,8 +75,9 @@ class MissingReadings:
 
         # The first time is worth a line.
         if not self.n_cells:
-            line = f"missing readings are {FILLED[self._way]}"
-            self._lines.append(f"{line}: {self.n_now} at first")
+            self._lines.append(
+                f"missing readings are {FILLED[self._way]}: {self.n_now} at first"
+            )
 
         # Of the way "zero" they are 0 already.
         self.n_cells += self.n_now
@@ -130,8 +126,10 @@ class MissingReadings:
         n_masked = self._whole.n_taxels - self.skin.n_taxels
         if self._renewed_ns is None:
             if n_silent:
-                part = f"{n_silent} of {self._whole.n_taxels} taxels"
-                self._lines.append(f"{part} give no number: masked until they do")
+                self._lines.append(
+                    f"{n_silent} of {self._whole.n_taxels} taxels give no number: "
+                    "masked until they do"
+                )
         elif n_silent < n_masked and stamp_ns - self._renewed_ns >= RENEWAL_NS:
             self._lines.append(
                 f"{n_masked - n_silent} masked taxels give numbers now: used"

@@ -1,14 +1,11 @@
 """The sensor node: acquires frames from a source and publishes the readings of the taxels."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Mapping
 from contextlib import ExitStack
 from dataclasses import replace
 from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
 from sparseskin.messages import (
     Calibration,
@@ -21,7 +18,7 @@ from sparseskin.messages import (
 )
 from sparseskin.nodes.errors import RefusedError, SettingsError, SourceError
 from sparseskin.nodes.node import Context, SourceNode, Tick
-from sparseskin.nodes.numerics.arrays import Floats
+from sparseskin.nodes.numerics.arrays import Bytes, Floats
 
 from .calibration.chain import Chain
 from .calibration.description import Placement, SkinDescription, of_skin
@@ -43,7 +40,7 @@ WAIT_S = 0.05
 """Longest wait for a frame of a board, seconds; chosen: commands and signals wait no longer."""
 LOG_S = 10
 """Least time between two lines of clipped readings, seconds; chosen: a log stays readable."""
-_Bits = npt.NDArray[np.uint8]
+_Bits = Bytes
 
 
 class _Frame(NamedTuple):
@@ -273,8 +270,10 @@ class Sensor(SourceNode[SensorSettings]):
         if name != "tare":
             return super().command(name, value)
         if self._stage is None:
-            remedy = "state sensor.skin, or sensor.tare, in the launch file"
-            raise RefusedError(f"tare: this sensor has no baseline; {remedy}")
+            raise RefusedError(
+                "tare: this sensor has no baseline; state sensor.skin, or sensor.tare, "
+                "in the launch file"
+            )
         return self._stage.start_tare(value)
 
     def tick(self, tick: Tick) -> Iterable[Message]:

@@ -9,8 +9,6 @@ both ends, then clipped. The shape of the taper and its end value are not in the
 `PAPER_SIGMA_END_N`.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import KW_ONLY, dataclass
 
@@ -65,9 +63,9 @@ class NoiseModel:
 
     def __post_init__(self) -> None:
         if not (is_real(self.f_max, 0.0) and self.f_max > 0.0):
-            allowed = "a finite number above 0"
             raise SettingsError(
-                f"noise model: f_max is {self.f_max!r}; allowed is {allowed}"
+                f"noise model: f_max is {self.f_max!r}; allowed is a finite number "
+                "above 0"
             )
 
         # Noise as large as the range would leave nothing to measure.
@@ -80,7 +78,7 @@ class NoiseModel:
                 )
 
     @classmethod
-    def for_range(cls, f_max: float, times: float = 1.0) -> NoiseModel:
+    def for_range(cls, f_max: float, times: float = 1.0) -> "NoiseModel":
         """Return `times` the paper's noise, scaled to another range; raises as the class does."""
         scale = f_max / PAPER_F_MAX_N
         sigma_mid = times * (scale * PAPER_SIGMA_MID_N)

@@ -1,7 +1,5 @@
 """The interface of skins of points, whose taxels form no flat grid, to the plug-in for them."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from typing import Protocol
 

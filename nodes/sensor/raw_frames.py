@@ -1,16 +1,13 @@
 """Raw frames for a calibration: parts of a recording, or what a live source delivers now."""
 
-from __future__ import annotations
-
 import re
 import threading
 import time
-from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from sparseskin.nodes.errors import SourceError, SparseskinError
+from sparseskin.nodes.numerics.arrays import AnyArray
 
 from .calibration.fit import CalibrationError
 from .layout.layout import EMPTY, Layout
@@ -25,7 +22,7 @@ POLL_S = 0.01
 PARTS = "seconds as 3s, or START-STOPs as 5-8s"
 _PART = re.compile(r"(?:(\d{1,6}(?:\.\d{1,6})?)-)?(\d{1,6}(?:\.\d{1,6})?)s")
 
-Frames = npt.NDArray[Any]
+Frames = AnyArray
 
 
 def read_part(text: str) -> tuple[float, float] | None:
@@ -35,8 +32,9 @@ def read_part(text: str) -> tuple[float, float] | None:
     match = _PART.fullmatch(text)
     # A bare number is meant for frames or seconds: no guess is made.
     if match is None and _PART.fullmatch(f"{text}s"):
-        expected = f"expected seconds, as {text}s, or a file"
-        raise CalibrationError(f"{text}: {expected}; frames are not counted")
+        raise CalibrationError(
+            f"{text}: expected seconds, as {text}s, or a file; frames are not counted"
+        )
     if match is None:
         return None
     start = float(match[1] or 0)
@@ -62,8 +60,10 @@ class Recorded:
         """
         is_in_part = (self._stamps_s >= start_s) & (self._stamps_s < stop_s)
         if not is_in_part.any():
-            fault = f"no frame of the recording, which lasts {self._stamps_s[-1]:g} s"
-            raise CalibrationError(f"{start_s:g}-{stop_s:g}s: {fault}")
+            raise CalibrationError(
+                f"{start_s:g}-{stop_s:g}s: no frame of the recording, which lasts "
+                f"{self._stamps_s[-1]:g} s"
+            )
         return self.frames[is_in_part]
 
     def close(self) -> None:
@@ -104,8 +104,9 @@ class Live:
         self._keep = None
 
         if not frames:
-            silence = f"{self._source.name}: no frame in {SILENT_S:g} s"
-            raise CalibrationError(self._error or silence)
+            raise CalibrationError(
+                self._error or f"{self._source.name}: no frame in {SILENT_S:g} s"
+            )
         return np.stack(frames)
 
     def close(self) -> None:

@@ -1,15 +1,11 @@
 """Repetition: how often noise lets a taxel read the same number again."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
-from sparseskin.nodes.numerics.arrays import Mask
+from sparseskin.nodes.numerics.arrays import AnyArray, Mask
 from sparseskin.nodes.sensor.layout.layout import listed
 
 CHANCE = 1e-12
@@ -38,7 +34,7 @@ def needed_repetitions(n_repeated: int, n_pairs: int) -> float:
     return math.ceil(math.log(CHANCE) / math.log(probability))
 
 
-def still_taxels(readings: npt.NDArray[Any], works: Mask) -> Mask:
+def still_taxels(readings: AnyArray, works: Mask) -> Mask:
     """Taxels that read one number in all frames, as the noise of the others does not explain: bool
     (n_rows, n_cols). `readings`: (n, n_rows, n_cols), of the untouched skin, NaN where they are
     missing; `works`: taxels that are looked at.
@@ -67,7 +63,7 @@ def names_of(cells: Sequence[int], n_cols: int) -> str:
     return listed([str(divmod(cell, n_cols)) for cell in cells])
 
 
-def line_on_still(readings: npt.NDArray[Any], works: Mask) -> str:
+def line_on_still(readings: AnyArray, works: Mask) -> str:
     """The taxels of `still_taxels` in words, as they are after a tare with these frames; "" if
     there are none.
     """

@@ -1,18 +1,15 @@
 """Readings outside the range of a skin, which are clipped to it: counts of each end."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from sparseskin.messages import Reason
 from sparseskin.messages.text import printable
-from sparseskin.nodes.numerics.arrays import Mask
+from sparseskin.nodes.numerics.arrays import AnyArray, Mask
 
 from .sign import Margin, Sign
 
@@ -46,7 +43,7 @@ class Clipped:
 
     def add(
         self,
-        readings: npt.NDArray[Any],
+        readings: AnyArray,
         low: float,
         high: float,
         noise: float | None = None,
@@ -80,7 +77,7 @@ class Clipped:
         self.n_now = int(np.count_nonzero(beyond))
         return is_beyond
 
-    def watch(self, readings: npt.NDArray[Any], low: float, high: float) -> None:
+    def watch(self, readings: AnyArray, low: float, high: float) -> None:
         """Look at a frame as `add`, of readings that somebody has stated what to do with outside
         the range: they are not counted. Those below 0 show the sign, whatever the range is.
         """
@@ -117,7 +114,7 @@ class Clipped:
         }
 
 
-def _ends(readings: npt.NDArray[Any]) -> tuple[float, float]:
+def _ends(readings: AnyArray) -> tuple[float, float]:
     """The least and the greatest reading of a frame, NaN being none."""
     lowest = float(readings.min(initial=math.inf))
     highest = float(readings.max(initial=-math.inf))

@@ -1,7 +1,5 @@
 """Settings of the sensor node."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any
 

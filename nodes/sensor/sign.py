@@ -1,15 +1,11 @@
 """Sign: whether readings rise with force, or fall below those at rest."""
 
-from __future__ import annotations
-
 import math
 from collections import deque
-from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
-from sparseskin.nodes.numerics.arrays import Doubles, Mask
+from sparseskin.nodes.numerics.arrays import AnyArray, Doubles, Mask
 from sparseskin.nodes.touch import DIFFERENCE, touch_level
 
 SIGMAS = 6.0
@@ -73,7 +69,7 @@ class Sign:
         return self.n_falls >= max(FALLS, FALLS_PER_RISE * self.n_rises + 1)
 
     def update(
-        self, readings: npt.NDArray[Any], low: float, margin: float, lowest: float
+        self, readings: AnyArray, low: float, margin: float, lowest: float
     ) -> None:
         """Add a frame, (rows, cols), NaN where a reading is missing; `low` is the lower end of the
         range, 0 or less, `margin` what noise may exceed, `lowest` the least of the readings.
@@ -111,9 +107,7 @@ class Margin:
         self._floor = 0.0
         self._margin = 0.0
 
-    def of(
-        self, readings: npt.NDArray[Any], f_max: float, noise: float | None
-    ) -> float:
+    def of(self, readings: AnyArray, f_max: float, noise: float | None) -> float:
         """Margin of a frame, in its unit; `noise` is its standard deviation, None if not known:
         then it is the median of what some taxels show in some of the last frames.
         """
@@ -165,7 +159,7 @@ class Margin:
         return max(SIGMAS * median_spread, floor)
 
 
-def some_of(readings: npt.NDArray[Any]) -> npt.NDArray[Any]:
+def some_of(readings: AnyArray) -> AnyArray:
     """Readings of `N_SHOWN` to some more taxels of a frame, spread over it; all of a small one."""
     # Odd, as rows often have an even number.
     step = max(readings.size // N_SHOWN, 1) | 1

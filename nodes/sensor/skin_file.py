@@ -4,8 +4,6 @@ A file is untrusted until it has been checked: its size is bounded before it is 
 those of its arrays, which are numbers only and lie beside it.
 """
 
-from __future__ import annotations
-
 import json
 import os
 from collections.abc import Iterable, Mapping
@@ -14,13 +12,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from sparseskin.messages.errors import MessageError
 from sparseskin.nodes.errors import SourceError
 from sparseskin.nodes.files import whole_file
 from sparseskin.nodes.lookup import did_you_mean
 from sparseskin.nodes.numerics.array_files import ArrayFileError, read_npz
+from sparseskin.nodes.numerics.arrays import AnyArray, mask_texts
 from sparseskin.nodes.toml import parse_toml
 
 from .calibration.description import (
@@ -220,7 +218,7 @@ def _load_arrays(name: object, folder: Path, n_cells: int) -> dict[str, Any]:
     return {BESIDE[key]: array.copy() for key, array in arrays.items()}
 
 
-def _array(key: str, value: Any, skin: SkinDescription) -> npt.NDArray[Any]:
+def _array(key: str, value: Any, skin: SkinDescription) -> AnyArray:
     """The value of a key as an array. Its shape is checked with those of the others."""
     if key == "mask":
         return parse_mask(value, skin.shape, key)
@@ -285,7 +283,7 @@ def _values(skin: SkinDescription) -> dict[str, Any]:
     """The values of a description by key, one number for an array of equal ones."""
     numbers = ("name", "n_rows", "n_cols", "pitch_mm", "unit", "f_max", *OF_NOISE)
     keys = (*numbers, *GRIDS, "points")
-    values: dict[str, Any] = {key: getattr(skin, key) for key in keys}
+    values = {key: getattr(skin, key) for key in keys}
     if skin.response is not None:
         values["response_reading"] = skin.response.reading
     for key in ("baseline", "gains"):
@@ -305,8 +303,7 @@ def _text(
     inline = {key: value for key, value in values.items() if key not in large}
     knots = inline.pop("response_reading", None)
     if skin.mask is not None and "mask" in inline:
-        rows = skin.mask.tolist()
-        inline["mask"] = ["".join("01"[cell] for cell in row) for row in rows]
+        inline["mask"] = mask_texts(skin.mask)
     if large:
         inline[ARRAYS] = archive
 

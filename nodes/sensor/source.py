@@ -1,7 +1,5 @@
 """The interface of sensor sources: an address, which settings state, and the source it opens."""
 
-from __future__ import annotations
-
 from abc import ABC, abstractmethod
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -192,7 +190,7 @@ class Address(ABC):
     raw: bool = False  # readings have any sign and size, as a calibration converts them
     #: File with the places of the taxels of a skin of points; "": a grid.
     points: str = ""
-    described: SkinDescription | None = None  # what the file of the skin states
+    described: "SkinDescription | None" = None  # what the file of the skin states
     # Number of patches, their skin, and the part that is pressed, for a scene of a body:
     n_patches: int = 1
     simulated: Mapping[str, Any] | None = None

@@ -1,7 +1,5 @@
 """Sources by their addresses: a scene, a file, a driver, or of a kind that a plug-in brings."""
 
-from __future__ import annotations
-
 import os
 from importlib.util import find_spec
 from typing import Any, cast
@@ -70,10 +68,10 @@ def find_address(source: str, **stated: Any) -> Address:
 
     # "serial:/dev/x" of a missing plug-in is no driver: its name is no name of Python.
     if not all(part.isidentifier() for part in name.split(".")):
-        fault = (
-            f"no plug-in for sources {kind}: is installed{suggestion(kind, kinds())}"
+        raise SourceError(
+            f"{source}: no plug-in for sources {kind}: is "
+            f"installed{suggestion(kind, kinds())}; expected {forms()}"
         )
-        raise SourceError(f"{source}: {fault}; expected {forms()}")
     return DriverAddress(source, **stated)
 
 

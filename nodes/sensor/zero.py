@@ -1,7 +1,5 @@
 """Zero: rest, sign and range of readings that a program hands over as arrays."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from sparseskin.messages import Reason
@@ -44,8 +42,10 @@ class Zero:
         self, skin: Skin, tare: int | None = None, invert: bool = False
     ) -> None:
         if tare is not None and not is_whole(tare, 0, MAX_TARE_FRAMES):
-            allowed = f"allowed: a whole number, 0..{MAX_TARE_FRAMES}"
-            raise SettingsError(f"tare = {tare!r} is not allowed; {allowed}")
+            raise SettingsError(
+                f"tare = {tare!r} is not allowed; allowed: a whole number, "
+                f"0..{MAX_TARE_FRAMES}"
+            )
         if not isinstance(invert, bool | np.bool_):
             raise SettingsError(
                 f"invert = {invert!r} is not allowed; allowed: True, False"

@@ -1,9 +1,6 @@
 """Addresses of boards: serial:DEVICE, udp:PORT and can:CHANNEL."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Mapping, Sequence
-from typing import Any
 
 from sparseskin.messages.text import printable
 from sparseskin.nodes.errors import not_installed
@@ -32,7 +29,7 @@ class BoardAddress(Address):
 
     def _board(self) -> Board:
         keys = ("n_rows", "n_cols", "unit", "f_max")
-        stated: dict[str, Any] = {key: getattr(self.layout, key) for key in keys}
+        stated = {key: getattr(self.layout, key) for key in keys}
         return describe_board(self.source, **stated)
 
     @classmethod
@@ -76,10 +73,13 @@ class SerialAddress(BoardAddress):
         for name in profile_names():
             profile = read_toml(PROFILES / f"{name}.toml")
             profiles.append({"name": name, "about": str(profile.get("about", ""))})
-        about = "profiles of boards: for ?profile=NAME; or the path of a .toml file"
         return (
             Listing("serial", "serial ports: add ?profile=NAME", ports),
-            Listing("profiles", about, profiles),
+            Listing(
+                "profiles",
+                "profiles of boards: for ?profile=NAME; or the path of a .toml file",
+                profiles,
+            ),
         )
 
 
@@ -108,8 +108,12 @@ class UdpAddress(BoardAddress):
 
     @classmethod
     def listings(cls) -> Sequence[Listing]:
-        about = "packets that come to a port of this host"
-        entries = [{"source": "udp:PORT?n_rows=R&n_cols=C", "about": about}]
+        entries = [
+            {
+                "source": "udp:PORT?n_rows=R&n_cols=C",
+                "about": "packets that come to a port of this host",
+            }
+        ]
         return (Listing("udp", "boards on the network", entries),)
 
 

@@ -8,8 +8,6 @@ of which index and counter may be absent. With several arbitration ids, the id t
 one id the index does.
 """
 
-from __future__ import annotations
-
 import contextlib
 import re
 import time
@@ -227,8 +225,9 @@ class CanPort(Port):
         with contextlib.suppress(OSError, ValueError):
             flags = int(Path(f"/sys/class/net/{address}/flags").read_text(), 16)
             if not flags & 1:
-                command = f"ip link set {address} up"
-                raise NotHereError(f"the CAN interface {address} is down: {command}")
+                raise NotHereError(
+                    f"the CAN interface {address} is down: ip link set {address} up"
+                )
 
     def open(self) -> None:
         can = needed_module("can", "python-can", "can")
@@ -237,7 +236,7 @@ class CanPort(Port):
         self.check(self.address, settings)
         self._assembler.reset()
         self._parser.reset()
-        options: dict[str, Any] = {"channel": self.address, "fd": settings.fd}
+        options = {"channel": self.address, "fd": settings.fd}
         if settings.bitrate is not None:
             options["bitrate"] = settings.bitrate
         # Dropped by kernel or driver before this process is woken: other devices share the bus.

@@ -14,8 +14,6 @@ stream of bytes, of which some may be lost, extra or wrong:
   of bytes may fit as well: the start bytes can occur among the readings.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Literal, TypeAlias
@@ -155,15 +153,12 @@ class Framing:
             at += self.sequence_bytes
         return at
 
-    def encode(
-        self, payload: bytes, sequence: int = 0, stamp: int = 0, first: int = 0
-    ) -> bytes:
-        """A frame as a board sends it; bytes that are not used are 0. For emulators and tests."""
+    def encode(self, payload: bytes, sequence: int = 0) -> bytes:
+        """A frame as a board sends it; other numbers and bytes that are not used are 0."""
         n_head = self.payload_at - len(self.start)
         body = bytearray(self.start + bytes(n_head) + payload + bytes(self.after))
         length = len(payload) + self.after
-        fields = (self.stamp, self.first, self.length, self.sequence)
-        for field, value in zip(fields, (stamp, first, length, sequence), strict=True):
+        for field, value in ((self.length, length), (self.sequence, sequence)):
             if field is not None:
                 # As a counter on the board does, numbers begin at 0 again.
                 modulus = 1 << 8 * field.n_bytes

@@ -1,7 +1,5 @@
 """The interface of a port that a board sends to."""
 
-from __future__ import annotations
-
 import importlib
 from abc import ABC, abstractmethod
 from types import ModuleType

@@ -1,15 +1,12 @@
 """From frames to readings: pieces put together; type, order of the taxels, zero and scale."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
-import numpy.typing as npt
 
-from sparseskin.nodes.numerics.arrays import Floats, Indices
+from sparseskin.nodes.numerics.arrays import AnyArray, Floats, Indices
 from sparseskin.nodes.sensor.layout.arrangement import Arrangement
 
 from .framing import Counts, Frame
@@ -55,7 +52,7 @@ class Decoder:
             readings[counts == number] = np.nan
         return readings
 
-    def _readings(self, counts: npt.NDArray[Any]) -> Floats:
+    def _readings(self, counts: AnyArray) -> Floats:
         # A float64 beyond float32 becomes infinite.
         with np.errstate(all="ignore"):
             if self._zero == 0 and self._scale == 1:

@@ -1,7 +1,5 @@
 """A board on a serial port, opened by pyserial."""
 
-from __future__ import annotations
-
 import contextlib
 import fcntl
 import os
@@ -141,8 +139,9 @@ class SerialPort(Port):
         if n_times < 2 or distance == framing.n_bytes:
             return ""
         n_payload = distance - framing.n_bytes + framing.payload_bytes
-        sizes = f"{distance} bytes, {n_payload} of readings"
-        return f"; from {start} to {start} it is {sizes}"
+        return (
+            f"; from {start} to {start} it is {distance} bytes, {n_payload} of readings"
+        )
 
 
 def serial_devices(dev: Path = Path("/dev")) -> dict[str, str]:

@@ -4,8 +4,6 @@ They are stated in the name of the source, serial:DEVICE?KEY=VALUE&KEY=VALUE, an
 TOML file of the same keys; the name of the source goes before the profile.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import ipaddress
 import re

@@ -1,7 +1,5 @@
 """A board as a source of frames, and what the name of a source states of it."""
 
-from __future__ import annotations
-
 import dataclasses
 import time
 from collections import deque
@@ -105,8 +103,10 @@ def describe_board(
         for key in ("f_max", "unit"):
             of_source = getattr(settings, key)
             if of_sensor[key] not in (None, of_source):
-                text = f"{key} = {of_sensor[key]} is stated"
-                raise SourceError(f"{text}, but the source has {of_source}")
+                raise SourceError(
+                    f"{key} = {of_sensor[key]} is stated, but the source has "
+                    f"{of_source}"
+                )
 
         framing = settings.framing(decoder.n_bytes)
         settings.check_port()
@@ -327,8 +327,10 @@ class BoardSource(LiveSource):
         if missing.any() and not self._layout.accepts_missing:
             # One line for all frames: they may come at 1 kHz.
             if not self.n_not_finite:
-                line = f"{self.name}: a frame is dropped, as a reading is no number"
-                self._lines.append(f"{line}; {NAN_HINT}")
+                self._lines.append(
+                    f"{self.name}: a frame is dropped, as a reading is no number; "
+                    f"{NAN_HINT}"
+                )
             self.n_not_finite += 1
             return None
 

@@ -1,7 +1,5 @@
 """A board that sends UDP packets."""
 
-from __future__ import annotations
-
 import re
 import select
 import socket
@@ -63,8 +61,10 @@ class UdpPort(Port):
             opened.setblocking(False)
         except OSError as error:
             opened.close()
-            place = f"port {self.address} of {self._settings.bind}"
-            raise SourceError(f"{place} cannot be opened: {error.strerror}") from error
+            raise SourceError(
+                f"port {self.address} of {self._settings.bind} cannot be opened: "
+                f"{error.strerror}"
+            ) from error
         self._socket = opened
 
     def receive(self, wait_s: float) -> list[Arrived]:
@@ -114,8 +114,9 @@ class UdpPort(Port):
         self._n_strangers += 1
         if self._n_strangers == 1:
             heard = self._settings.sender or _text(self._sender)
-            dropped = f"packets of {_text(sender)} are dropped"
-            self.lines.append(f"{dropped}; {heard} is the sender")
+            self.lines.append(
+                f"packets of {_text(sender)} are dropped; {heard} is the sender"
+            )
 
     def _is_heard(self, sender: tuple[str, int], now_s: float) -> bool:
         if self._settings.sender is not None:

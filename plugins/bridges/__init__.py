@@ -1,7 +1,5 @@
 """Plug-in `bridges`: observers that show a graph to other tools, and exports of bags to them."""
 
-from __future__ import annotations
-
 import argparse
 
 HELP = "show a running graph to Foxglove or ROS 2"

@@ -1,7 +1,5 @@
 """What all bridges share: the topics that they read, what they drop, and what they report."""
 
-from __future__ import annotations
-
 from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass
 from importlib.util import find_spec

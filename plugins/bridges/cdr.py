@@ -2,17 +2,14 @@
 rosbags, which needs no ROS.
 """
 
-from __future__ import annotations
-
 import functools
 from collections.abc import Iterable, Mapping
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from sparseskin.messages import Contacts, SkinState
-from sparseskin.nodes.numerics.arrays import Floats
+from sparseskin.nodes.numerics.arrays import Bytes, Floats
 
 from .base import ROW
 from .contacts import COLOURS, numbers, shapes, wrench
@@ -82,7 +79,7 @@ def encoded(kind: str, **stated: Any) -> bytes:
     return bytes(types().serialize_cdr(message(kind, stated), kind))
 
 
-def _bytes_of(values: npt.NDArray[np.float32]) -> npt.NDArray[np.uint8]:
+def _bytes_of(values: Floats) -> Bytes:
     # Bytes are viewed, not copied, where the values are in this form already.
     return np.ascontiguousarray(values, "<f4").reshape(-1).view(np.uint8)
 

@@ -1,7 +1,5 @@
 """The command `sparseskin bridge`: a node beside a running graph that shows it to another tool."""
 
-from __future__ import annotations
-
 import argparse
 import os
 from typing import Any
@@ -48,8 +46,9 @@ def configure(parser: argparse.ArgumentParser) -> None:
         command.set_defaults(bridge=name)
         # Bridges that serve clients get their port as an option of its own.
         if "port" in {entry["key"] for entry in cls.Settings.described()}:
-            about = "port of 127.0.0.1; 0: a free one"
-            command.add_argument("--port", type=whole(0), help=about)
+            command.add_argument(
+                "--port", type=whole(0), help="port of 127.0.0.1; 0: a free one"
+            )
         add_set(command, "another setting of the bridge, see docs/howto/bridges.md")
         add_graph(command)
 

@@ -5,8 +5,6 @@ The force of a contact on the skin acts against the outward normal: that of the 
 a flat skin, whose x runs along the columns and y along the rows, the z axis.
 """
 
-from __future__ import annotations
-
 import math
 from typing import Any, NamedTuple
 

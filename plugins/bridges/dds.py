@@ -4,8 +4,6 @@
 the members of a message to DDS, as it asks for, and carry its bytes as they are.
 """
 
-from __future__ import annotations
-
 import contextlib
 import functools
 import os

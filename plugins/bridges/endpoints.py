@@ -1,7 +1,5 @@
 """Both ends of a topic of ROS 2, whichever library carries it."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import NamedTuple
 

@@ -1,7 +1,5 @@
 """The bridge `foxglove`: a server that Foxglove and Lichtblick open as a live connection."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Any

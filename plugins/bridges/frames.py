@@ -1,7 +1,5 @@
 """Messages of ROS as frames of readings, of recordings and of topics."""
 
-from __future__ import annotations
-
 import struct
 from typing import Any, NamedTuple
 

@@ -1,7 +1,5 @@
 """The newest frame of a running graph, for a program with a loop of its own."""
 
-from __future__ import annotations
-
 import time
 from threading import Condition, Thread
 from typing import NamedTuple, TypeVar
@@ -72,10 +70,9 @@ class LatestFrames:
         # Number of the last reconstruction: one that is missing breaks the chain of references.
         self._seq = -1
         # A daemon: a program that ends without `close` is not kept alive.
-        name = f"frames of {self._label}"
         self._thread = Thread(
             target=self._read,
-            name=name,
+            name=f"frames of {self._label}",
             daemon=True,
         )
         self._thread.start()
@@ -140,8 +137,9 @@ class LatestFrames:
             return
         patches = [f"{batch}/{name}" for name in message.names] or [batch]
         hint = did_you_mean(f"{batch}/{self._part}", patches)
-        choice = f"{patches[0]} is one of {len(patches)}"
-        raise GraphError(f"{message.topic}: patch: {choice}{hint}")
+        raise GraphError(
+            f"{message.topic}: patch: {patches[0]} is one of {len(patches)}{hint}"
+        )
 
     def _part_of(self, parts: list[Part]) -> Part | None:
         """The message of the patch that is read, of those of a batch."""

@@ -1,7 +1,5 @@
 """Topics of ROS 2 by rclpy (ros2/rclpy, Jazzy), with messages of ready made CDR; as `dds`."""
 
-from __future__ import annotations
-
 import importlib
 import os
 from collections import deque

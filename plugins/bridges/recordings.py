@@ -1,17 +1,14 @@
 """Recordings of ROS, .bag, .db3 and .mcap, and MCAP files of JSON, as files of readings."""
 
-from __future__ import annotations
-
 import heapq
 from collections.abc import Collection, Iterator
 from pathlib import Path
-from typing import Any, NamedTuple
-
-import numpy.typing as npt
+from typing import NamedTuple
 
 from sparseskin.messages.text import printable
 from sparseskin.nodes.errors import SourceError
 from sparseskin.nodes.numerics.array_files import MAX_GROWN_BYTES, MAX_GROWTH
+from sparseskin.nodes.numerics.arrays import AnyArray
 from sparseskin.nodes.recorder.bag.records import MAGIC as MCAP_MAGIC
 from sparseskin.nodes.sensor.files.format import Format
 from sparseskin.nodes.sensor.files.recording import (
@@ -152,7 +149,7 @@ class RosRecording(Recording):
         yield from gathered(self._frames(stream), self.tally)
         self._account(stream.topic)
 
-    def _frames(self, stream: Stream) -> Iterator[tuple[npt.NDArray[Any], int | float]]:
+    def _frames(self, stream: Stream) -> Iterator[tuple[AnyArray, int | float]]:
         """Numbers and times of messages."""
         dtype = stream.first.numbers.values.dtype.newbyteorder("=")
         is_stated = self._layout.n_stated is not None
@@ -253,8 +250,9 @@ class RosRecording(Recording):
             except (EmptyMessageError, OtherFrameError) as error:
                 faults.setdefault(topic, str(error))
             except UnstatedError as error:
-                text = f"{self._name}: {topic}: {error}"
-                raise UnstatedError(text, *error.options) from error
+                raise UnstatedError(
+                    f"{self._name}: {topic}: {error}", *error.options
+                ) from error
             except SourceError as error:
                 faults[topic] = str(error)
                 tries[topic] += 1
@@ -397,8 +395,9 @@ class RosRecording(Recording):
         losses = [loss for storage in self._storages for loss in storage.losses]
         if n_missing > 0:
             place = f", {losses[0]}" if losses else ""
-            name = f"missing of the {n_stated} that metadata.yaml states{place}"
-            self.tally.drop(name, n_missing)
+            self.tally.drop(
+                f"missing of the {n_stated} that metadata.yaml states{place}", n_missing
+            )
         elif n_missing < 0 or n_stated is None:
             for loss in losses:
                 self.tally.drop(f"or more lost {loss}")
@@ -454,8 +453,10 @@ class _Reads:
                 )
             raise UnstatedError(f"{place}: {fault}; {hint}", {"time": LOG})
         if uses_log and time < last_time:
-            overtaken = f"more than {WINDOW} messages that stand before it"
-            raise SourceError(f"{place}: was recorded before {overtaken}; {IN_ORDER}")
+            raise SourceError(
+                f"{place}: was recorded before more than {WINDOW} messages that stand "
+                f"before it; {IN_ORDER}"
+            )
         self._last_time = time
         return time
 
@@ -468,8 +469,10 @@ class _Reads:
             self._tally.drop(OTHER_SHAPE)
             return False
         shapes = f"{size_text(self._stream.first.numbers)}, then {size_text(received.numbers)}"
-        hint = "state n_rows and n_cols: messages of other shapes are left out"
-        raise SourceError(f"{self._where}: its shape changes: {shapes}; {hint}")
+        raise SourceError(
+            f"{self._where}: its shape changes: {shapes}; state n_rows and n_cols: "
+            "messages of other shapes are left out"
+        )
 
     def _check_names(self, received: Received) -> None:
         """Raise SourceError if a message has its taxels in another order than the first one."""

@@ -1,7 +1,5 @@
 """The bridge `ros2`: publishes forces and contacts of patches as messages of ROS 2."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from typing import Any

@@ -1,7 +1,5 @@
 """Frames from a topic of ROS 2: the source ros2:/TOPIC?domain=0&interface=lo."""
 
-from __future__ import annotations
-
 import sys
 import time
 from collections.abc import Iterator
@@ -9,10 +7,9 @@ from contextlib import closing
 from dataclasses import dataclass, replace
 from typing import Any
 
-import numpy.typing as npt
-
 from sparseskin.nodes.errors import SourceError, SparseskinError
 from sparseskin.nodes.lookup import did_you_mean
+from sparseskin.nodes.numerics.arrays import AnyArray
 from sparseskin.nodes.sensor.driver import RESTART_NS, DriverSource
 from sparseskin.nodes.sensor.layout.arrangement import Arrangement, arrange
 from sparseskin.nodes.sensor.layout.layout import EMPTY, Layout, UnstatedError
@@ -107,7 +104,7 @@ class TopicFrames:
         self._turns = Turns()
         self._last_ns = -1
 
-    def frame(self, data: bytes) -> tuple[int, npt.NDArray[Any]] | None:
+    def frame(self, data: bytes) -> tuple[int, AnyArray] | None:
         """Stamp and frame of a message; None if it is refused. Raises SourceError if the field, the
         shape or the frame_id of the messages has to be stated.
         """
@@ -172,9 +169,7 @@ class TopicFrames:
         self.why = why
 
 
-def frames(
-    source: str, layout: Layout = EMPTY
-) -> Iterator[tuple[int, npt.NDArray[Any]]]:
+def frames(source: str, layout: Layout = EMPTY) -> Iterator[tuple[int, AnyArray]]:
     """Yield (stamp_ns, forces) of each message: the stamp of its header, or of its arrival where it
     has none, or 0.
 

@@ -1,7 +1,5 @@
 """Topics of ROS 2: by rclpy where it can be imported, else by DDS alone."""
 
-from __future__ import annotations
-
 import os
 import re
 import sys

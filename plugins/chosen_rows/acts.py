@@ -8,21 +8,17 @@ Source: Slepyan, Li, Aug, Sankar, Tran, Thakor, "Adaptive Compressive Tactile Su
 arXiv 2410.13847.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from types import MappingProxyType
-from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 from numpy.lib.stride_tricks import sliding_window_view
 
 from sparseskin.messages.skin import PAPER_F_MAX_N
 from sparseskin.nodes.compressor.phi.base import BLOCK, Code, fingerprint_of
 from sparseskin.nodes.compressor.phi.identity import SubsamplePhi
 from sparseskin.nodes.errors import PhiError
-from sparseskin.nodes.numerics.arrays import Floats, Indices, Mask
+from sparseskin.nodes.numerics.arrays import AnyArray, Floats, Indices, Mask
 from sparseskin.nodes.touch import touch_level
 
 SIGMAS = 4.0
@@ -114,7 +110,7 @@ class ActsSearch:
     Source: the binary sampling of Slepyan et al.; the score is this project's own.
     """
 
-    def __init__(self, exists: npt.NDArray[np.bool_], m: int, threshold: float) -> None:
+    def __init__(self, exists: Mask, m: int, threshold: float) -> None:
         n = int(np.count_nonzero(exists))
         if not 1 <= m <= n:
             raise PhiError(
@@ -166,7 +162,7 @@ class ActsSearch:
         cells: Indices = numbers[is_unread]
         return cells
 
-    def _part(self, grid: npt.NDArray[Any], step: int) -> npt.NDArray[Any]:
+    def _part(self, grid: AnyArray, step: int) -> AnyArray:
         """Return the cells of a lattice, also those that were read."""
         offset = self._offset % step
         return grid[offset::step, offset::step]
@@ -200,7 +196,7 @@ class ActsSearch:
         raise AssertionError("every taxel is read, but fewer than m")
 
 
-def _steps(exists: npt.NDArray[np.bool_], m: int) -> list[int]:
+def _steps(exists: Mask, m: int) -> list[int]:
     """Return the steps of the lattices, from the coarsest to 1, each half of the one before."""
     # As coarse as needed: the first lattice leaves most readings for what it finds.
     step = 1
@@ -215,6 +211,7 @@ def _steps(exists: npt.NDArray[np.bool_], m: int) -> list[int]:
 
 def _around(known: Floats) -> tuple[Floats, Floats]:
     """Highest and lowest reading of each cell and its neighbours; -inf and inf if none was read."""
+    # SciPy has such filters, and takes too long to import at an edge.
     high = np.pad(known, 1, constant_values=-np.inf)
     low = np.where(high == -np.inf, np.float32(np.inf), high)
     for axis in (0, 1):

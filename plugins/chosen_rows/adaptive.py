@@ -6,8 +6,6 @@ frame's choice, which travels with the measurements as a few bits a node of the 
 last measurement of every row.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from types import MappingProxyType
 
@@ -117,8 +115,9 @@ class AdaptivePhi(Phi):
         try:
             nodes = self.tree.decoded(code)
         except ValueError as cause:
-            fault = f"the code of the nodes is malformed: {cause}"
-            raise PhiError(f"adaptive: {fault}") from cause
+            raise PhiError(
+                f"adaptive: the code of the nodes is malformed: {cause}"
+            ) from cause
         self.choose(nodes)
 
     def forget(self) -> None:
@@ -140,14 +139,16 @@ class AdaptivePhi(Phi):
         # A node has three details at most: fewer than these may be left over.
         n_missing = self.m - n_measured
         if not 0 <= n_missing < N_DETAILS:
-            counted = f"nodes of {n_measured} measurements are chosen"
-            raise PhiError(f"adaptive: {counted}; expected m = {self.m}")
+            raise PhiError(
+                f"adaptive: nodes of {n_measured} measurements are chosen; expected m "
+                f"= {self.m}"
+            )
 
         measured[np.flatnonzero(~measured)[:n_missing]] = True
         self.chosen = chosen
         self.rows = np.flatnonzero(measured)
 
-    def dense(self) -> npt.NDArray[np.float64]:
+    def dense(self) -> Doubles:
         """As of `Phi`, in float64 throughout."""
         unit_rows = np.eye(self.n)[self.rows]
         return np.array([self.tree.synthesis(row) for row in unit_rows])
@@ -169,7 +170,8 @@ class HeldRows:
 
     `sums` and `sums_read`, float64 (n_nodes,), are the normalised sum of each node in this frame,
     and when its details were read, 0 before that; `now` and `details`, (n_nodes, 3), its details in
-    this frame, and as they were read.
+    this frame, and as they were read; `age` and `drift`, (n_nodes,), the frames since then, and the
+    squared change of its details a frame.
     """
 
     def __init__(self, phi: AdaptivePhi) -> None:
@@ -185,6 +187,8 @@ class HeldRows:
         self.sums_read = np.zeros(n_nodes)
         self.now = np.zeros((n_nodes, N_DETAILS))
         self.details = np.zeros((n_nodes, N_DETAILS))
+        self.age = np.zeros(n_nodes)
+        self.drift = np.zeros(n_nodes)
         self.begin()
 
     def begin(self) -> None:
@@ -227,8 +231,23 @@ class HeldRows:
         """Return the squared change of each node's details that its sum lets expect, (n_nodes,)."""
         # Both sums have noise, which is no change.
         change2 = np.square(self.sums - self.sums_read) - 2 * self._phi.variance
-        expected: Doubles = SUM_CHANGE * np.maximum(change2, 0)
-        return expected
+        return SUM_CHANGE * np.maximum(change2, 0)
+
+    def learn(self, nodes: Indices | Mask, predicted: Doubles) -> Doubles:
+        """Learn the drift of nodes that were read, from their predicted details, (k, 3); return
+        their squared change, (k,).
+        """
+        # Noise of both readings is not a change.
+        noise = 2 * self._phi.variance * self._tree.n_details[nodes]
+        change = self._read[nodes] - predicted
+        change2: Doubles = np.square(change).sum(axis=1)
+        change2 = np.maximum(change2 - noise, 0)
+
+        drift = self.drift[nodes]
+        newest = change2 / self.age[nodes]
+        self.drift[nodes] = DRIFT_MEMORY * drift + (1 - DRIFT_MEMORY) * newest
+        self.age[nodes] = 0
+        return change2
 
     def end(self) -> Mask:
         """End a frame, of which all rows are read; return which nodes are untouched. What was read
@@ -252,15 +271,11 @@ class AdaptiveChoice:
     """
 
     def __init__(self, phi: AdaptivePhi) -> None:
-        n_nodes = phi.tree.n_nodes
         self._phi = phi
         self._held = HeldRows(phi)
-        #: Frames since the details of each node were read, and their squared change a frame.
-        self._age = np.zeros(n_nodes)
-        self._drift = np.zeros(n_nodes)
         #: Measurements that are due to the nodes which were read longest ago.
         self._owed = 0.0
-        self._untouched = np.zeros(n_nodes, dtype=np.bool_)
+        self._untouched = np.zeros(phi.tree.n_nodes, dtype=np.bool_)
 
     def measure(self, read: Read) -> Floats:
         """Choose and read a frame by `read`, of rows of W; return its measurements, float32 (m,),
@@ -269,7 +284,7 @@ class AdaptiveChoice:
         phi = self._phi
         tree = phi.tree
         rows = self._held
-        self._age += 1
+        rows.age += 1
         self._values = np.zeros(phi.n)
         is_chosen = np.zeros(tree.n_nodes, dtype=np.bool_)
 
@@ -283,12 +298,12 @@ class AdaptiveChoice:
         n_oldest = int(self._owed)
         for n_rounds in range(N_ROUNDS, 0, -1):
             rows.update()
-            expected2 = rows.changed2() + self._drift * self._age
+            expected2 = rows.changed2() + rows.drift * rows.age
             n_round = (n_left - n_oldest) // n_rounds
             n_left -= self._read_most(expected2, n_round, is_chosen, read)
 
         # Those that were read longest ago.
-        ages = self._age * np.where(self._untouched, UNTOUCHED_HASTE, 1.0)
+        ages = rows.age * np.where(self._untouched, UNTOUCHED_HASTE, 1.0)
         while n_left >= N_DETAILS:
             n_read = self._read_most(ages, n_left, is_chosen, read)
             n_left -= n_read
@@ -302,9 +317,8 @@ class AdaptiveChoice:
         rows.update()
 
         self._untouched = rows.end()
-        self._drift[self._untouched] *= DRIFT_MEMORY
-        measurements: Floats = self._values[phi.rows].astype(np.float32)
-        return measurements
+        rows.drift[self._untouched] *= DRIFT_MEMORY
+        return self._values[phi.rows].astype(np.float32)
 
     def _read_most(self, score: Doubles, n_most: int, chosen: Mask, read: Read) -> int:
         """Read the unread nodes of highest score a measurement, above 0; return their rows."""
@@ -328,20 +342,8 @@ class AdaptiveChoice:
         node_of_detail = tree.node_of_row[tree.n_tiles :]
         rows = tree.n_tiles + np.flatnonzero(is_chosen[node_of_detail])
         self._take(rows, read)
-        self._learn_drift(nodes, predicted)
+        self._held.learn(nodes, predicted)
         return int(ends[nodes.size - 1])
-
-    def _learn_drift(self, nodes: Indices, predicted: Doubles) -> None:
-        measured = self._held._read[nodes]
-        # Noise of both readings is not a change.
-        noise = 2 * self._phi.variance * self._phi.tree.n_details[nodes]
-        change2 = np.square(measured - predicted).sum(axis=1)
-        change2 = np.maximum(change2 - noise, 0)
-        change2 /= self._age[nodes]
-
-        drift = self._drift[nodes]
-        self._drift[nodes] = DRIFT_MEMORY * drift + (1 - DRIFT_MEMORY) * change2
-        self._age[nodes] = 0
 
     def _take(self, rows: Indices, read: Read) -> None:
         if rows.size:

@@ -1,7 +1,5 @@
 """Interpolation between taxels that were read one by one."""
 
-from __future__ import annotations
-
 import numpy as np
 from scipy.spatial import Delaunay, QhullError, cKDTree
 

@@ -1,7 +1,5 @@
 """An orthonormal basis of a skin as rows of W: sums of square tiles, and details of their parts."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import pairwise
@@ -10,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from sparseskin.nodes.numerics.arrays import Doubles, Indices, Mask
+from sparseskin.nodes.numerics.arrays import Bytes, Doubles, Indices, Mask
 
 LEAST_DEPTH = 3
 """Levels of the tree where there are measurements enough: tiles of 8 x 8 taxels. Fitted: on five
@@ -150,7 +148,7 @@ class Quadtree:
             details[:] = read_details[level.first : level.first + level.size]
         return self.forces
 
-    def coded(self, chosen: Mask) -> npt.NDArray[np.uint8]:
+    def coded(self, chosen: Mask) -> Bytes:
         """Return which nodes are chosen, bool (n_nodes,), in few bits: uint8.
 
         Level by level: a bit for each node of which all larger ones hold a chosen one, set where it
@@ -175,7 +173,7 @@ class Quadtree:
             return np.zeros(1, dtype=np.uint8)
         return np.packbits(np.concatenate(bits))
 
-    def decoded(self, code: npt.NDArray[np.uint8]) -> Mask:
+    def decoded(self, code: Bytes) -> Mask:
         """Return the nodes that `coded` stated, bool (n_nodes,); ValueError if it stated none."""
         bits = np.unpackbits(code).astype(np.bool_)
         is_chosen = np.zeros(self.n_nodes, dtype=np.bool_)
@@ -272,5 +270,4 @@ def _reflection(unit: Doubles) -> Doubles:
     normal = unit.copy()
     normal[0] += 1
     projection = 2 * np.outer(normal, normal) / (normal @ normal)
-    matrix: Doubles = np.eye(unit.size) - projection
-    return matrix
+    return np.eye(unit.size) - projection

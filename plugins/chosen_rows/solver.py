@@ -1,7 +1,5 @@
 """The default solver for rows that are chosen anew in each frame: held rows, then filtered."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 
@@ -17,7 +15,7 @@ from sparseskin.nodes.reconstructor.skin.tuning import SkinTuning
 from sparseskin.nodes.reconstructor.solvers.base import Solver
 from sparseskin.nodes.sensor.noise import NoiseModel
 
-from .adaptive import DRIFT_MEMORY, AdaptivePhi, HeldRows
+from .adaptive import AdaptivePhi, HeldRows
 
 MEMORY = 0.7
 """Weight of the past in the running means of squared prediction errors. Chosen."""
@@ -103,16 +101,12 @@ class AdaptiveSkinSolver(Solver):
         )
         self.n_steps = self.iterations = self._filter.iterations
         self._held = HeldRows(phi)
-        self._age = np.zeros(phi.tree.n_nodes)
-        self._drift = np.zeros(phi.tree.n_nodes)
         self.reset()
 
     def reset(self) -> None:
         self._filter.reset()
         self._held.reset()
         self.watch = None
-        self._age.fill(0)
-        self._drift.fill(0)
         self._predicted: tuple[Doubles, Doubles] | None = None
         self._errors = [0.0, 0.0]
         self._changed = 1.0
@@ -129,7 +123,7 @@ class AdaptiveSkinSolver(Solver):
                 error2 = float(np.mean(np.square(residual)))
                 self._errors[k] = MEMORY * self._errors[k] + (1 - MEMORY) * error2
 
-        self._age += 1
+        self._held.age += 1
         expected = self._expected()
         last_details = self._held.now.copy()
         self._held.begin()
@@ -170,7 +164,7 @@ class AdaptiveSkinSolver(Solver):
 
     def _expected(self) -> Doubles:
         """Expected squared change of each node's details since they were read."""
-        drifted = self._drift * np.minimum(self._age, SATURATED)
+        drifted = self._held.drift * np.minimum(self._held.age, SATURATED)
         expected = self._held.changed2() + drifted
         # Forces are not negative: of an untouched node all are known.
         expected[self._held.sums <= self._rows_of.untouched] = 0
@@ -186,20 +180,11 @@ class AdaptiveSkinSolver(Solver):
         """Compare the expected changes of the nodes that are read with the ones they had."""
         nodes = self._rows_of.chosen
         expected = np.maximum(expected, self._expected())[nodes]
-        noise = 2 * self._rows_of.variance * self._rows_of.tree.n_details[nodes]
-        change = self._held.now[nodes] - last_details[nodes]
-        change2 = np.square(change).sum(axis=1)
-        change2 = np.maximum(change2 - noise, 0)
-
+        change2 = self._held.learn(nodes, last_details[nodes])
         total = float(expected.sum())
         if total > 0:
             quotient = min(float(change2.sum()) / total, 1.0)
             self._changed = MEMORY * self._changed + (1 - MEMORY) * quotient
-
-        change2 /= self._age[nodes]
-        drift = self._drift[nodes]
-        self._drift[nodes] = DRIFT_MEMORY * drift + (1 - DRIFT_MEMORY) * change2
-        self._age[nodes] = 0
 
     def _judge(self, x: Floats) -> None:
         """Set the error of the estimate, and whether it is trusted."""

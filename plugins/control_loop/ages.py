@@ -4,8 +4,6 @@ python -m sparseskin.plugins.control_loop.ages WAY N_MESSAGES: a way of `WAYS`.
 A process of its own, as a user's loop is one.
 """
 
-from __future__ import annotations
-
 import json
 import struct
 import subprocess

@@ -1,7 +1,5 @@
 """Study `control-loop`: the age of forces in a loop, by the way in which it gets them."""
 
-from __future__ import annotations
-
 import os
 import shutil
 import subprocess
@@ -85,9 +83,9 @@ def run(out: Path, quick: bool, seed: int, executor: str) -> list[str]:
     page.csv("ages", rows)
     lines = []
     for row in table.to_dict("records"):
-        p50 = f"p50 {row['p50, ms']:.2f} ms"
-        p99 = f"p99 {row['p99, ms']:.2f} ms"
-        lines.append(f"{row['way']}: {p50}, {p99}.")
+        lines.append(
+            f"{row['way']}: p50 {row['p50, ms']:.2f} ms, p99 {row['p99, ms']:.2f} ms."
+        )
     page.write(lines)
     return lines
 
@@ -191,8 +189,7 @@ def ways(
             why = ""
             if way == "ros2" and find_spec("cyclonedds") is None:
                 why = "cyclonedds is not installed"
-            module = f"{__package__}.ages"
-            words = [sys.executable, "-m", module, way, str(n_messages)]
+            words = [sys.executable, "-m", f"{__package__}.ages", way, str(n_messages)]
         if why:
             absent.append(f"{WAYS[way]}: {why}")
         else:

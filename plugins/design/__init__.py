@@ -1,7 +1,5 @@
 """Plug-in `design`: speed, bytes, wires and accuracy of a skin that is not built yet."""
 
-from __future__ import annotations
-
 import argparse
 import os
 

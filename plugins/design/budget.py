@@ -1,7 +1,5 @@
 """The budget of each strategy: time of each stage, the rate that is reached, bytes, accuracy."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

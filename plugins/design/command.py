@@ -1,7 +1,5 @@
 """The command `sparseskin design`: what a skin would deliver, before it is built."""
 
-from __future__ import annotations
-
 import argparse
 import csv
 import sys
@@ -51,15 +49,17 @@ def configure(parser: argparse.ArgumentParser) -> None:
         place = rare_options if name in RARE_KEYS else parser
         place.add_argument(f"--{name.replace('_', '-')}", metavar=key.form, help=about)
 
-    about = "write all figures to this file too, with all digits"
     parser.add_argument(
         "--csv",
         metavar="FILE",
         type=Path,
-        help=about,
+        help="write all figures to this file too, with all digits",
     )
-    about = "rates, bytes and wires alone, at once: nothing is simulated"
-    parser.add_argument("--no-accuracy", action="store_true", help=about)
+    parser.add_argument(
+        "--no-accuracy",
+        action="store_true",
+        help="rates, bytes and wires alone, at once: nothing is simulated",
+    )
     about = f"simulated scenes, 2..{N_SCENES}: more take longer (default: {FEW_SCENES})"
     scenes = range(2, N_SCENES + 1)
     rare_options.add_argument(

@@ -4,8 +4,6 @@ A bus is a bound: no other device sends, no frame is repeated, and the host is n
 times of Linux and host were measured once, and are stored in `costs.toml`.
 """
 
-from __future__ import annotations
-
 import functools
 import math
 import re

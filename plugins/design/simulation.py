@@ -8,8 +8,6 @@ one time. Single taxels are rounded to steps of f_max / (2^bits - 1), sums as th
 relative to the largest of their frame.
 """
 
-from __future__ import annotations
-
 import itertools
 import math
 import os

@@ -1,7 +1,5 @@
 """What a design states: the skin, its converters, bus, edge and host; from options or a file."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
@@ -47,7 +45,7 @@ EXAMPLE = "example:"
 """Start of a layout that comes with the package."""
 
 
-def _placement(layout: object) -> Placement:
+def _placement(layout: object) -> "Placement":
     """The virtual grid of a layout of points; SettingsError if it cannot be used."""
     # Imported here: with it comes SciPy's interpolation.
     from sparseskin.plugins.points.placing import placed
@@ -208,7 +206,7 @@ def read_file(path: Path) -> dict[str, Any]:
     except ValueError as error:
         # Also where its bytes are no UTF-8.
         raise SettingsError(f"{path}: no TOML: {error}") from error
-    keys: dict[str, Any] = dict(tree)
+    keys = dict(tree)
     # A relative path is one from the folder of the file.
     points = keys.get("points")
     if isinstance(points, str) and not points.startswith(EXAMPLE):
@@ -301,8 +299,10 @@ def _contradiction(values: Mapping[str, Any]) -> tuple[str, str] | None:
         n_cols = values["n_cols"]
         n = n_rows * n_cols
         if not 16 <= n <= MAX_TAXELS:
-            fault = f"{n_rows} x {n_cols} are {n} taxels"
-            return "n_rows", f"{fault}; allowed: 16..{MAX_TAXELS}"
+            return (
+                "n_rows",
+                f"{n_rows} x {n_cols} are {n} taxels; allowed: 16..{MAX_TAXELS}",
+            )
     elif len(size_keys) > 1:
         return size_keys[-1], f"states the size once more; leave out {size_keys[0]}"
 

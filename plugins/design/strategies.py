@@ -1,7 +1,5 @@
 """Ways to read a skin that a design compares: a measurement matrix, its ratio and its rows."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 from sparseskin.nodes.compressor.phi.rotation import FIXED, ROTATING, m_of

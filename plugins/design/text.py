@@ -1,7 +1,5 @@
 """A design in words and as tables: what breaks first, rows."""
 
-from __future__ import annotations
-
 import math
 import textwrap
 from collections.abc import Callable, Sequence

@@ -2,8 +2,6 @@
 frames.
 """
 
-from __future__ import annotations
-
 import argparse
 
 HELP = "export a compressor in C for a board"

@@ -1,7 +1,5 @@
 """The command `sparseskin edge`: a compressor in C99 for a microcontroller."""
 
-from __future__ import annotations
-
 import argparse
 from pathlib import Path
 from typing import Any
@@ -39,22 +37,21 @@ def configure(parser: argparse.ArgumentParser) -> None:
         type=int,
         help="columns of taxels",
     )
-    about = f"taxels a measurement (default: {RATIO:g})"
-    make.add_argument("--ratio", type=float, help=about)
-    about = "bits of a measurement, 4..16 (default: 8)"
+    make.add_argument(
+        "--ratio", type=float, help=f"taxels a measurement (default: {RATIO:g})"
+    )
     make.add_argument(
         "--bits",
         type=int,
         default=8,
-        help=about,
+        help="bits of a measurement, 4..16 (default: 8)",
     )
-    about = "bits of a reading, 1..16: counts are 0 .. 2^bits - 1 (default: 12)"
     make.add_argument(
         "--adc-bits",
         metavar="BITS",
         type=int,
         default=12,
-        help=about,
+        help="bits of a reading, 1..16: counts are 0 .. 2^bits - 1 (default: 12)",
     )
     make.add_argument(
         "--skin",
@@ -62,13 +59,12 @@ def configure(parser: argparse.ArgumentParser) -> None:
         type=Path,
         help="rows, columns, mask of a skin",
     )
-    about = "folder to write to, a new one"
     make.add_argument(
         "--out",
         metavar="DIR",
         type=Path,
         required=True,
-        help=about,
+        help="folder to write to, a new one",
     )
     _add_rare_options(make)
 
@@ -87,13 +83,12 @@ def _add_rare_options(make: argparse.ArgumentParser) -> None:
     )
     about = "rows of the matrix: the same in each frame or not (default: as the compressor chooses)"
     group.add_argument("--rows-mode", choices=ROWS, help=about)
-    about = f"size of the Hadamard blocks (default: {BLOCK})"
     group.add_argument(
         "--block",
         metavar="B",
         type=int,
         default=BLOCK,
-        help=about,
+        help=f"size of the Hadamard blocks (default: {BLOCK})",
     )
     group.add_argument(
         "--seed",
@@ -134,8 +129,9 @@ def _export(arguments: argparse.Namespace) -> int:
         mask = skin.mask
     elif n_rows is None or n_cols is None:
         missing = "--n-rows" if n_rows is None else "--n-cols"
-        allowed = "state --n-rows and --n-cols, or --skin"
-        raise SettingsError(f"{missing}: is missing; {allowed}")
+        raise SettingsError(
+            f"{missing}: is missing; state --n-rows and --n-cols, or --skin"
+        )
 
     with naming_options(_OPTIONS):
         described = EdgeDescription.chosen(

@@ -4,8 +4,6 @@ A frame on the wire: start, sequence number, version, Phi, step, codes, CRC-16. 
 edge in Python: the bytes that its program sends, by the compressor's own Phi.
 """
 
-from __future__ import annotations
-
 import struct
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, fields, replace
@@ -36,7 +34,7 @@ from sparseskin.nodes.compressor.phi.rotation import (
 from sparseskin.nodes.compressor.phi.sbhe import SbhePhi
 from sparseskin.nodes.compressor.quantiser import quantised
 from sparseskin.nodes.errors import SettingsError, SparseskinError
-from sparseskin.nodes.numerics.arrays import Mask
+from sparseskin.nodes.numerics.arrays import Indices, Integers, Mask, mask_texts
 from sparseskin.nodes.settings import Settings, setting
 from sparseskin.nodes.toml import parse_toml
 from sparseskin.plugins.boards.framing import Framing
@@ -130,8 +128,7 @@ class EdgeDescription(Settings):
         """
         texts = None
         if mask is not None:
-            # As the file states a mask: a text a row.
-            texts = tuple("".join(row) for row in np.where(mask, "1", "0"))
+            texts = tuple(mask_texts(mask))
         # The number of measurements depends on that of the taxels, which the mask decides.
         description = cls(
             n_rows,
@@ -161,7 +158,7 @@ class EdgeDescription(Settings):
         return np.array([[cell == "1" for cell in row] for row in texts])
 
     @cached_property
-    def cells(self) -> npt.NDArray[np.intp]:
+    def cells(self) -> Indices:
         """Cell of each taxel, intp, shape (n_taxels,), ascending."""
         return np.flatnonzero(self.exists)
 
@@ -291,7 +288,7 @@ class EdgeFrame(NamedTuple):
 
     phi: str
     step: float
-    codes: npt.NDArray[np.int32]
+    codes: Integers
 
     def measurements(self, bits: int, unit: float) -> Quantised:
         """Return the measurements; `unit` is the force of one count."""

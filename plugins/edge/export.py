@@ -1,7 +1,5 @@
 """Export of an edge as a folder of C99 files."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from importlib.resources import files
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The edge node: measurements of a compressor outside the graph, from its frames on a wire."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Plug-in `points`: skins whose taxels stand at free places, on a virtual grid; scenes on them."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 
 from sparseskin.nodes.sensor.calibration.description import Placement
@@ -41,8 +39,9 @@ class _Points(PointSkins):
             {"name": f"{EXAMPLE}{name}", "about": about(make)}
             for name, make in EXAMPLES.items()
         ]
-        about_files = "or a file of places, .csv or an iCub's .txt"
-        title = f"layouts: for sensor.points; {about_files}"
+        title = (
+            "layouts: for sensor.points; or a file of places, .csv or an iCub's .txt"
+        )
         return (Listing("layouts", title, entries),)
 
 

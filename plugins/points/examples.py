@@ -1,7 +1,5 @@
 """Layouts that are computed: a torso and a grip."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 

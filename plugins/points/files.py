@@ -10,8 +10,6 @@
 A layout is a file, or `example:NAME` for one that is computed (`examples`).
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -45,8 +43,10 @@ def check_places(name: str, places: Doubles) -> None:
     """Raise SourceError if a place of a file, float64 (n, 3) in metres, is far away."""
     k = first_far(places)
     if k is not None:
-        text = f"taxel {k} is not within {MAX_COORDINATE_M:g} m; is its unit right?"
-        raise SourceError(f"{name}: {text}")
+        raise SourceError(
+            f"{name}: taxel {k} is not within {MAX_COORDINATE_M:g} m; is its unit "
+            "right?"
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -280,8 +280,10 @@ def _points(
     is_short = is_unknown & (lengths > 0)
     if is_short.any():
         k = int(np.argmax(is_short))
-        normal = f"the normal of taxel {k} (from 0) has length {lengths[k]:.3g}"
-        raise SourceError(f"{name}: {normal}; expected 1")
+        raise SourceError(
+            f"{name}: the normal of taxel {k} (from 0) has length {lengths[k]:.3g}; "
+            "expected 1"
+        )
 
     unit = np.zeros_like(places)
     if is_unknown.any():
@@ -289,8 +291,10 @@ def _points(
         of_some = ""
         if not is_unknown.all():
             of_some = f" of {np.count_nonzero(is_unknown)} taxels"
-        estimated = "are estimated from the places of neighbours"
-        notes = (*notes, f"the normals{of_some} {estimated}")
+        notes = (
+            *notes,
+            f"the normals{of_some} are estimated from the places of neighbours",
+        )
     is_stated = ~is_unknown
     if is_stated.any():
         unit[is_stated] = normals[is_stated] / lengths[is_stated, None]
@@ -299,8 +303,10 @@ def _points(
         distances, _ = cKDTree(places).query(places, 2)
         nearest = float(np.median(distances[:, 1]))
         if nearest and not USUAL_M[0] <= nearest <= USUAL_M[1]:
-            distance = f"taxels are {1000 * nearest:.3g} mm apart"
-            notes = (*notes, f"{distance}: is the unit right?")
+            notes = (
+                *notes,
+                f"taxels are {1000 * nearest:.3g} mm apart: is the unit right?",
+            )
 
     layout = str(Path(name).resolve())
     return Points(Path(name).stem, places, unit, slots, n_slots, notes, layout)

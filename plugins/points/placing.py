@@ -12,16 +12,12 @@ Transactions on Graphics 25(4), 2006; Bommes et al., "Mixed-integer quadrangulat
 Transactions on Graphics 28(3), 2009.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
-from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 from scipy.sparse import csr_matrix
 from scipy.sparse.csgraph import min_weight_full_bipartite_matching
 from scipy.spatial import cKDTree
@@ -29,7 +25,7 @@ from scipy.spatial import cKDTree
 from sparseskin.messages.fields import MAX_ELEMENTS, MAX_SIDE
 from sparseskin.messages.skin import Skin
 from sparseskin.nodes.errors import SourceError
-from sparseskin.nodes.numerics.arrays import Doubles, Indices, Mask
+from sparseskin.nodes.numerics.arrays import AnyArray, Doubles, Indices, Integers, Mask
 
 from .files import Points, load_points
 from .surface import Edges, Joined, flattened, neighbours, parts
@@ -79,7 +75,7 @@ class Placement:
         of_points = (points, self.point_rows(mask))
         return Skin(*self.shape, f_max, unit, self.pitch_m, exists, *of_points)
 
-    def point_rows(self, exists: Mask) -> npt.NDArray[np.int32]:
+    def point_rows(self, exists: Mask) -> Integers:
         """Row of each taxel of a mask of the grid among those of the file, int32 (n_taxels,)."""
         rows = np.full(self.shape, -1, dtype=np.int32)
         rows.reshape(-1)[self.cells] = self.points.slots
@@ -94,8 +90,10 @@ class Placement:
         """Number of taxels, grid and distance, and the notes on the points, for a log."""
         parts = f", {self.n_parts} parts" if self.n_parts > 1 else ""
         grid = f"{self.shape[0]} x {self.shape[1]}{parts}, {1000 * self.pitch_m:.3g} mm apart"
-        about = f"{self.points.n} taxels on a virtual grid of {grid}"
-        lines = [about, *self.points.notes]
+        lines = [
+            f"{self.points.n} taxels on a virtual grid of {grid}",
+            *self.points.notes,
+        ]
         return [f"{self.points.name}: {line}" for line in lines]
 
     def check_size(self, n_readings: int) -> None:
@@ -109,9 +107,7 @@ class Placement:
                 f"{points.name}: a frame has {n_readings} readings; expected {allowed}, one a taxel"
             )
 
-    def on_grid(
-        self, values: npt.NDArray[Any], unused: float = 0.0
-    ) -> npt.NDArray[Any]:
+    def on_grid(self, values: AnyArray, unused: float = 0.0) -> AnyArray:
         """n or n_slots readings of any shape, in the order of the layout, on the grid: shape
         `shape`, same dtype, `unused` in cells without a taxel. Raises SourceError if their number
         is another.

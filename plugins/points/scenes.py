@@ -13,8 +13,6 @@ from the body is not touched. The course is a shortest way over neighbours betwe
 random, smoothed. A frame is the mean of `STEPS` steps: 10 ms.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass
 

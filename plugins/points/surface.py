@@ -12,8 +12,6 @@ points", Stanford 2004; Liu et al., "A local/global approach to mesh parameteriz
 Graphics Forum 27(5), 2008.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np
@@ -45,13 +43,15 @@ MOST_OUTWARD = 0.9
 
 @dataclass(frozen=True, eq=False)
 class Edges:
-    """Pairs of neighbours a, b, in both directions, and their distance in metres, (n_edges,)."""
+    """Pairs of neighbours a, b, in both directions and ascending, and their distance in metres,
+    (n_edges,).
+    """
 
     a: Indices
     b: Indices
     length: Doubles
 
-    def only(self, choice: Mask) -> Edges:
+    def only(self, choice: Mask) -> "Edges":
         """Those of a choice, bool (n_edges,)."""
         return Edges(self.a[choice], self.b[choice], self.length[choice])
 
@@ -210,8 +210,7 @@ def _cut(centred: Doubles, normals: Doubles, edges: Edges) -> Mask:
 def _crossing(angle: Doubles, edges: Edges, cut: float) -> Mask:
     """Edges whose points lie on the two sides of an angle, bool (n_edges,)."""
     past_cut = (angle - cut) % (2 * np.pi)
-    crossing: Mask = np.abs(past_cut[edges.a] - past_cut[edges.b]) > np.pi
-    return crossing
+    return np.abs(past_cut[edges.a] - past_cut[edges.b]) > np.pi
 
 
 def _scaled(edges: Edges, n: int) -> Doubles:
@@ -267,7 +266,8 @@ def _rigid(plane: Doubles, places: Doubles, frames: Doubles, edges: Edges) -> Do
     """The plane after `N_RIGID` rounds in which each neighbourhood is turned and joined."""
     local = _local(places, frames, edges)
     solve = Joined(edges, len(plane))
-    back = _reverse(edges)
+    # Pairs in ascending order, by the other point first: each edge in the other direction.
+    back = np.lexsort((edges.a, edges.b))
     for _ in range(N_RIGID):
         # The rotation, without a reflection, that is nearest to each moment.
         u, _, v = np.linalg.svd(_moments(plane, places, frames, edges))
@@ -277,16 +277,6 @@ def _rigid(plane: Doubles, places: Doubles, frames: Doubles, edges: Edges) -> Do
         step = np.einsum("eij,ej->ei", rotations[edges.a], local)
         plane = solve(0.5 * (step - step[back]))
     return plane
-
-
-def _reverse(edges: Edges) -> Indices:
-    """Index of each edge in the other direction."""
-    n = int(edges.a.max()) + 1
-    # A number for each pair of points.
-    forth = edges.a * n + edges.b
-    back = edges.b * n + edges.a
-    order = np.argsort(forth)
-    return order[np.searchsorted(forth[order], back)]
 
 
 class Joined:

@@ -1,7 +1,5 @@
 """Plug-in `recogniser`: a node that labels what presses, and the command that trains its model."""
 
-from __future__ import annotations
-
 import argparse
 
 HELP = "train a model that labels what presses"

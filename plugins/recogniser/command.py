@@ -1,7 +1,5 @@
 """The command `sparseskin tasks`: models of the recogniser."""
 
-from __future__ import annotations
-
 import argparse
 from pathlib import Path
 
@@ -40,12 +38,11 @@ def configure(parser: argparse.ArgumentParser) -> None:
         help=about,
     )
     default = "(default: %(default)s; readings where there is none)"
-    about = f"what the node will read {default}"
     make.add_argument(
         "--reads",
         choices=READS,
         default=READS[0],
-        help=about,
+        help=f"what the node will read {default}",
     )
 
 

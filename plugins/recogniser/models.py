@@ -4,8 +4,6 @@ A joblib file is code: reading one runs whatever it holds. So it is read where a
 if it belongs to the user and nobody else can write it, and never from a recording or a message.
 """
 
-from __future__ import annotations
-
 import os
 import stat
 from pathlib import Path
@@ -87,8 +85,10 @@ def load_model(name: str) -> Model:
     for label in labels:
         if not label.isprintable() or len(label) > MAX_LABEL:
             quoted = repr(label[:MAX_LABEL])
-            allowed = f"at most {MAX_LABEL} printable characters"
-            raise SettingsError(f"{name}: label {quoted}; allowed: {allowed}")
+            raise SettingsError(
+                f"{name}: label {quoted}; allowed: at most {MAX_LABEL} printable "
+                "characters"
+            )
     checked: Model = model
     return checked
 
@@ -105,5 +105,6 @@ def _unpickled(path: Path) -> Any:
         return joblib.load(path)
     except Exception as error:
         # Whatever the classes in the file raise.
-        fault = f"no model can be read: {one_line(error)}"
-        raise SettingsError(f"{path}: {fault}") from error
+        raise SettingsError(
+            f"{path}: no model can be read: {one_line(error)}"
+        ) from error

@@ -1,7 +1,5 @@
 """The recogniser: labels each frame of a patch by a model."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Any

@@ -1,7 +1,5 @@
 """Training of a recogniser's model: frames of recordings, labels of a table."""
 
-from __future__ import annotations
-
 import csv
 import os
 from collections.abc import Sequence
@@ -131,8 +129,10 @@ def examples(paths: Sequence[str], spans: Sequence[Span], reads: str) -> Example
             numbers += [k] * n_frames
         # Of another skin, or of another number of measurements.
         if inputs[0].shape[1] != frames.shape[1]:
-            counts = f"{frames.shape[1]} numbers a frame, but {inputs[0].shape[1]} in {paths[0]}"
-            raise SparseskinError(f"{path}: {counts}")
+            raise SparseskinError(
+                f"{path}: {frames.shape[1]} numbers a frame, but {inputs[0].shape[1]} "
+                f"in {paths[0]}"
+            )
 
     # A name that was typed wrong would be trained without its frames.
     unused = sorted({span.recording for span in spans} - stated_names)

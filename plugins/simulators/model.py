@@ -1,7 +1,5 @@
 """MuJoCo models with a skin: the address of a source, and what a model must have."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import lru_cache
 from importlib.util import find_spec
@@ -119,8 +117,10 @@ def load_model(path: str) -> Any:
         raise SourceError(f"{path}: MuJoCo refuses it: {text[:300]}") from error
     step_s = float(model.opt.timestep)
     if not LEAST_STEP_S <= step_s <= LONGEST_STEP_S:
-        allowed = f"{LEAST_STEP_S:g}..{LONGEST_STEP_S:g} s"
-        raise SourceError(f"{path}: a time step of {step_s:g} s; allowed: {allowed}")
+        raise SourceError(
+            f"{path}: a time step of {step_s:g} s; allowed: "
+            f"{LEAST_STEP_S:g}..{LONGEST_STEP_S:g} s"
+        )
     return model
 
 

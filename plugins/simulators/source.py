@@ -1,7 +1,5 @@
 """A MuJoCo model as a source of true forces."""
 
-from __future__ import annotations
-
 import re
 import sys
 from collections.abc import Callable, Iterator
@@ -128,8 +126,9 @@ class MujocoSource(Source):
                 self._control(self.model, data, float(data.time))
             except Exception as error:
                 # The user's own code may raise anything.
-                fault = f"control failed: {one_line(error)}"
-                raise SourceError(f"{self._source}: {fault}") from error
+                raise SourceError(
+                    f"{self._source}: control failed: {one_line(error)}"
+                ) from error
         elif self._schedule is not None:
             _follow(self.model, data, self._schedule)
 

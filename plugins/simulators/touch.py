@@ -10,15 +10,12 @@ Limits: an edge is felt where it is, not a taxel's radius before; there is no fr
 thinner than its penetration, or deeper than `depth_m`, reads `depth_m`.
 """
 
-from __future__ import annotations
-
 import copy
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
-from sparseskin.nodes.numerics.arrays import Doubles, Floats, Indices
+from sparseskin.nodes.numerics.arrays import Doubles, Floats, Indices, Integers
 
 from .model import Pad, bears_load, touching_geoms
 
@@ -186,7 +183,7 @@ class Touch:
 
     def _depths(
         self, near: Indices, taxels: Indices, middle: Doubles, axes: Doubles
-    ) -> tuple[Doubles, npt.NDArray[np.int32], Doubles]:
+    ) -> tuple[Doubles, Integers, Doubles]:
         """Penetrations in m, the geoms that penetrate (-1: none), and the tops of some taxels."""
         import mujoco
 

@@ -1,7 +1,5 @@
 """Novel emed platforms: the text export (.lst), one page a frame, pressure in kPa."""
 
-from __future__ import annotations
-
 import re
 from dataclasses import dataclass
 from itertools import pairwise

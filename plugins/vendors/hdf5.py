@@ -1,17 +1,15 @@
 """Arrays in files of HDF5, .h5, to which a .mat of version 7.3 belongs."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from sparseskin.nodes.errors import SourceError, not_installed
 from sparseskin.nodes.numerics.array_files import MAX_GROWN_BYTES, MAX_GROWTH
+from sparseskin.nodes.numerics.arrays import AnyArray
 from sparseskin.nodes.sensor.files.dataset_recording import DatasetRecording, text_of
 from sparseskin.nodes.sensor.files.datasets import (
     FILL_VALUES,
@@ -61,13 +59,13 @@ class Hdf5File(ArrayFile):
         with self._opened() as opened:
             self._list(opened)
 
-    def whole(self, key: str) -> npt.NDArray[Any]:
+    def whole(self, key: str) -> AnyArray:
         self._check_size(key)
         with self._opened() as opened:
             dataset = opened[key.replace(self.separator, "/")]
             return self._as_read(key, self._readable(key, dataset)[()])
 
-    def blocks(self, key: str, axis: int, size: int) -> Iterator[npt.NDArray[Any]]:
+    def blocks(self, key: str, axis: int, size: int) -> Iterator[AnyArray]:
         sides = self.datasets[key].sides
         stored_axis = axis
         if self._is_matlab:
@@ -94,8 +92,10 @@ class Hdf5File(ArrayFile):
         # HDF5 inflates a chunk whole, whatever part of it is read.
         needed = max(row_bytes, math.prod(dataset.chunks) * dataset.dtype.itemsize)
         if needed > MAX_CHUNK_BYTES:
-            fault = f"chunks of {length} entries of axis {axis + 1} need {needed} bytes"
-            raise SourceError(f"{self.where(key)}: {fault}; at most {MAX_CHUNK_BYTES}")
+            raise SourceError(
+                f"{self.where(key)}: chunks of {length} entries of axis {axis + 1} "
+                f"need {needed} bytes; at most {MAX_CHUNK_BYTES}"
+            )
         return max(1, size // length) * length
 
     def _check_size(self, key: str) -> None:
@@ -110,7 +110,7 @@ class Hdf5File(ArrayFile):
             return dataset.asstr()
         return dataset
 
-    def _as_read(self, key: str, array: Any) -> npt.NDArray[Any]:
+    def _as_read(self, key: str, array: Any) -> AnyArray:
         dtype: Any = self.datasets[key].dtype
         if dtype.kind == "U":
             dtype = np.str_

@@ -1,7 +1,5 @@
 """Arrays of numbers in files of MATLAB, .mat: those of version 5 to 7, and 7.3, which is HDF5."""
 
-from __future__ import annotations
-
 import io
 import math
 import struct

@@ -1,17 +1,13 @@
 """What exports of grids, a frame after the other, have in common: cells, their mask, and times."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from itertools import pairwise
-from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from sparseskin.messages.fields import MAX_SIDE
 from sparseskin.nodes.errors import SourceError
-from sparseskin.nodes.numerics.arrays import Doubles, Mask
+from sparseskin.nodes.numerics.arrays import AnyArray, Doubles, Mask
 from sparseskin.nodes.sensor.files.recording import Lines
 from sparseskin.nodes.sensor.layout.arrangement import check_grid
 from sparseskin.nodes.sensor.layout.checks import (
@@ -145,7 +141,7 @@ def _rising(stamps: Sequence[int], name: str) -> tuple[int, ...] | None:
     return tuple(stamp - stamps[0] for stamp in stamps)
 
 
-def stack_frames(frames: list[npt.NDArray[Any]], where: str) -> Doubles:
+def stack_frames(frames: list[AnyArray], where: str) -> Doubles:
     """Stack frames into float64 (n_frames, n_rows, n_cols); SourceError if none, or too many."""
     if not frames:
         raise SourceError(f"{where}: the recording holds no frame")

@@ -1,7 +1,5 @@
 """Tekscan sensors: the ASCII movie export (.csv, .asf), in its own unit."""
 
-from __future__ import annotations
-
 import re
 from itertools import islice
 

@@ -1,7 +1,5 @@
 """XSENSOR sensors: the text export (.csv) of their software, in its own unit."""
 
-from __future__ import annotations
-
 import math
 import re
 from typing import NamedTuple

@@ -1,20 +1,17 @@
 """Study `wiring`: PSNR against the length of the wires, from local to scrambled sums."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 import pandas as pd
 
 from sparseskin.nodes.compressor.phi.base import make_phi
 from sparseskin.nodes.compressor.phi.rotation import PAPER, ROTATING, m_of
 from sparseskin.nodes.compressor.phi.sbhe import WIRED_BLOCK, SbhePhi
-from sparseskin.nodes.numerics.arrays import Indices, Mask
+from sparseskin.nodes.numerics.arrays import Doubles, Indices, Mask
 from sparseskin.nodes.reconstructor.settings import PRESETS
 from sparseskin.studies.frames import Frames, PressFrames, SceneFrames
 from sparseskin.studies.harness import (
@@ -252,9 +249,9 @@ def array_wiring(n_rows: int, n_cols: int, conversions: int) -> Wiring:
 
 
 def count_crossings(
-    begins: npt.NDArray[np.float64],
-    ends: npt.NDArray[np.float64],
-    group_of: npt.NDArray[np.intp],
+    begins: Doubles,
+    ends: Doubles,
+    group_of: Indices,
 ) -> int:
     """Pairs of straight lines, (k, 2) each, of different groups, (k,), that cross within both."""
     total = 0
@@ -274,12 +271,9 @@ def count_crossings(
     return total
 
 
-def _side(
-    p: npt.NDArray[np.float64], q: npt.NDArray[np.float64], r: npt.NDArray[np.float64]
-) -> npt.NDArray[np.float64]:
+def _side(p: Doubles, q: Doubles, r: Doubles) -> Doubles:
     """Sign of the side of the line p -> q on which r lies."""
     d = q - p
     e = r - p
     area = d[..., 0] * e[..., 1] - d[..., 1] * e[..., 0]
-    sign: npt.NDArray[np.float64] = np.sign(area)
-    return sign
+    return np.sign(area)

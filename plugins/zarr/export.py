@@ -1,7 +1,5 @@
 """Export of bags to a folder of Zarr, version 2, as tactile datasets have it."""
 
-from __future__ import annotations
-
 import json
 import math
 from collections.abc import Iterable, Sequence
@@ -9,12 +7,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 import zstandard
 
 from sparseskin.messages import Reconstruction, Taxels
 from sparseskin.messages.topics import split_topic
 from sparseskin.nodes.files import whole_folder
+from sparseskin.nodes.numerics.arrays import AnyArray, Floats, mask_texts
 from sparseskin.nodes.recorder.bag.format import BagError
 from sparseskin.nodes.recorder.bag.frames import (
     frame_topics,
@@ -138,13 +136,13 @@ def _names(topics: Sequence[str], side: str) -> dict[str, tuple[str, str]]:
 def _add_episode(
     bag: BagReader,
     topics: Sequence[str],
-    times: _Rows,
-    rows: dict[str, _Rows],
+    times: "_Rows",
+    rows: "dict[str, _Rows]",
     folder: Path,
     names: dict[str, tuple[str, str]],
 ) -> None:
     """Append the rows of a bag."""
-    newest: dict[str, npt.NDArray[np.float32]] = {}
+    newest: dict[str, Floats] = {}
     for message, _ in streams(bag, topics, "export"):
         frame = values_of(message)
         if frame is None:
@@ -163,9 +161,9 @@ def _add_episode(
                 rows[topic] = _Rows(path, np.dtype("<f4"), shape)
             # An array has one shape: another skin in a later bag does not fit.
             if rows[topic].sides != shape:
-                shapes = f"frames of {shape[1:]} after some of {rows[topic].sides[1:]}"
                 raise BagError(
-                    f"{bag.path}: {topic}, stamp {message.stamp_ns}: {shapes}"
+                    f"{bag.path}: {topic}, stamp {message.stamp_ns}: frames of "
+                    f"{shape[1:]} after some of {rows[topic].sides[1:]}"
                 )
             rows[topic].add(newest[topic])
 
@@ -229,20 +227,17 @@ def _attributes(bag: BagReader, patch: str) -> dict[str, Any]:
     if skin.pitch_m:
         attributes["pitch_m"] = skin.pitch_m
     if skin.mask is not None:
-        rows = []
-        for row in skin.mask:
-            rows.append("".join("1" if exists else "0" for exists in row))
-        attributes["mask"] = rows
+        attributes["mask"] = mask_texts(skin.mask)
     return attributes
 
 
-def _write_whole(folder: Path, array: npt.NDArray[Any]) -> None:
+def _write_whole(folder: Path, array: AnyArray) -> None:
     folder.mkdir()
     _write_chunk(folder / ".".join("0" * array.ndim), array)
     _write_head(folder, array.shape, array)
 
 
-def _write_head(folder: Path, sides: tuple[int, ...], chunk: npt.NDArray[Any]) -> None:
+def _write_head(folder: Path, sides: tuple[int, ...], chunk: AnyArray) -> None:
     fill_value: int | str = ""
     if chunk.dtype.kind in "if":
         fill_value = 0
@@ -259,7 +254,7 @@ def _write_head(folder: Path, sides: tuple[int, ...], chunk: npt.NDArray[Any]) -
     _write_json(folder / ARRAY, head)
 
 
-def _write_chunk(path: Path, chunk: npt.NDArray[Any]) -> None:
+def _write_chunk(path: Path, chunk: AnyArray) -> None:
     path.write_bytes(zstandard.ZstdCompressor(LEVEL).compress(chunk.tobytes()))
 
 

@@ -1,7 +1,5 @@
 """Folders of Zarr, version 2: arrays in groups, of which those of tactile datasets are known."""
 
-from __future__ import annotations
-
 import bz2
 import itertools
 import json
@@ -18,12 +16,12 @@ from typing import Any
 
 import lz4.block
 import numpy as np
-import numpy.typing as npt
 import zstandard
 
 from sparseskin.messages.text import printable
 from sparseskin.nodes.errors import SourceError, not_installed
 from sparseskin.nodes.numerics.array_files import MAX_GROWN_BYTES, MAX_GROWTH
+from sparseskin.nodes.numerics.arrays import AnyArray
 from sparseskin.nodes.sensor.files.dataset_recording import DatasetRecording
 from sparseskin.nodes.sensor.files.datasets import MAX_ARRAYS, ArrayFile, Dataset
 from sparseskin.nodes.sensor.files.recording import File
@@ -125,8 +123,10 @@ class ZarrFolder(ArrayFile):
             ways = f"state topic={name}:0 .. topic={name}:{n - 1}"
             keys = [printable(key) for key in self._tactile()]
             names = ", ".join(keys) or "none of tactile data"
-            fault = f"holds {n} episodes, which is not stated: {ways}; arrays: {names}"
-            raise UnstatedError(f"{self.name}: {fault}")
+            raise UnstatedError(
+                f"{self.name}: holds {n} episodes, which is not stated: {ways}; "
+                f"arrays: {names}"
+            )
         # One episode need not be stated.
         number = number or 0
         if number >= n or ends[number] >= ends[number + 1]:
@@ -145,7 +145,7 @@ class ZarrFolder(ArrayFile):
             sides = (len(self._frames), *dataset.sides[1:])
             self.datasets[key] = replace(dataset, sides=sides)
 
-    def whole(self, key: str) -> npt.NDArray[Any]:
+    def whole(self, key: str) -> AnyArray:
         stored = self._stored[key]
         if not stored.sides:
             return self._part(key, ())
@@ -155,7 +155,7 @@ class ZarrFolder(ArrayFile):
             return np.empty(stored.sides, stored.dtype)
         return np.concatenate(blocks)
 
-    def blocks(self, key: str, axis: int, size: int) -> Iterator[npt.NDArray[Any]]:
+    def blocks(self, key: str, axis: int, size: int) -> Iterator[AnyArray]:
         stored = self._stored[key]
         entries = range(stored.sides[axis])
         is_cut = self.datasets[key].sides != stored.sides and axis == 0
@@ -192,10 +192,11 @@ class ZarrFolder(ArrayFile):
             max(row_bytes, stored.chunk_bytes) > MAX_CHUNK_BYTES
             or n_chunks > MAX_CHUNKS
         ):
-            entries = f"{length} entries of axis {axis + 1}"
-            fault = f"{n_chunks} chunks of {entries} need {row_bytes} bytes"
-            allowed = f"at most {MAX_CHUNKS} of {MAX_CHUNK_BYTES} bytes together"
-            raise SourceError(f"{self.where(key)}: {fault}; {allowed}")
+            raise SourceError(
+                f"{self.where(key)}: {n_chunks} chunks of {length} entries of axis "
+                f"{axis + 1} need {row_bytes} bytes; at most {MAX_CHUNKS} of "
+                f"{MAX_CHUNK_BYTES} bytes together"
+            )
 
         # Chunks that are not there cost nothing: a file of some bytes may state any shape.
         n_files_bytes = 0
@@ -204,10 +205,12 @@ class ZarrFolder(ArrayFile):
                 n_files_bytes += os.lstat(os.path.join(folder, name)).st_size
         limit = max(MAX_GROWN_BYTES, MAX_GROWTH * n_files_bytes)
         if n_bytes > limit:
-            fault = f"would have {n_bytes} bytes, of files of {n_files_bytes}"
-            raise SourceError(f"{self.where(key)}: {fault}; at most {limit}")
+            raise SourceError(
+                f"{self.where(key)}: would have {n_bytes} bytes, of files of "
+                f"{n_files_bytes}; at most {limit}"
+            )
 
-    def _part(self, key: str, ranges: tuple[range, ...]) -> npt.NDArray[Any]:
+    def _part(self, key: str, ranges: tuple[range, ...]) -> AnyArray:
         """The numbers of an array in a range of each axis."""
         stored = self._stored[key]
         part = np.full([len(span) for span in ranges], stored.fill, stored.dtype)
@@ -237,7 +240,7 @@ class ZarrFolder(ArrayFile):
             part[tuple(places_in_part)] = chunk[tuple(places_in_chunk)]
         return part
 
-    def _chunk(self, key: str, place: tuple[int, ...]) -> npt.NDArray[Any] | None:
+    def _chunk(self, key: str, place: tuple[int, ...]) -> AnyArray | None:
         """One chunk; None where its numbers are those that fill the array."""
         stored = self._stored[key]
         # A number without axes is in chunk 0.
@@ -254,10 +257,10 @@ class ZarrFolder(ArrayFile):
                 f"{self.where(key)}: {' '.join(fault.split())[:200]}"
             ) from error
         if len(plain) != stored.chunk_bytes:
-            fault = (
-                f"chunk {name} has {len(plain)} bytes in place of {stored.chunk_bytes}"
+            raise SourceError(
+                f"{self.where(key)}: chunk {name} has {len(plain)} bytes in place of "
+                f"{stored.chunk_bytes}"
             )
-            raise SourceError(f"{self.where(key)}: {fault}")
 
         # Read-only: what is read of it is copied.
         flat = np.frombuffer(plain, stored.dtype)
@@ -347,8 +350,10 @@ def _arrays_of(
     if path.count("/") >= MAX_DEPTH:
         return
     if (group / NEW).is_file():
-        fault = "is of Zarr format 3; allowed is format 2, as zarr_format=2 writes it"
-        raise SourceError(f"{where}: {fault}")
+        raise SourceError(
+            f"{where}: is of Zarr format 3; allowed is format 2, as zarr_format=2 "
+            "writes it"
+        )
 
     # A folder may hold any number of entries: no more are listed than are read.
     with os.scandir(group) as entries:
@@ -372,8 +377,9 @@ def _file_bytes(path: Path, limit: int, where: str) -> bytes | None:
     except FileNotFoundError:
         return None
     except OSError as error:
-        fault = f"cannot be read ({error.strerror})"
-        raise SourceError(f"{where}: {shown(path.name)}: {fault}") from error
+        raise SourceError(
+            f"{where}: {shown(path.name)}: cannot be read ({error.strerror})"
+        ) from error
 
     # One byte more than allowed shows that there are too many.
     with open(descriptor, "rb") as file:

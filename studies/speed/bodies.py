@@ -13,8 +13,9 @@ from sparseskin.messages import Message, decode
 from sparseskin.messages.wire import received, wire_bytes
 from sparseskin.nodes.clock import ManualClock
 from sparseskin.nodes.node import Context, Tick
-from sparseskin.nodes.process.proc import own_bytes
 from sparseskin.nodes.registry import node_class
+
+from .host import own_bytes
 
 WARM_UP = 24
 """Frames before those that are timed: a patch is idle after 12, and solvers adapt; chosen."""

@@ -18,9 +18,9 @@ import numpy as np
 import numpy.typing as npt
 
 from sparseskin.nodes.compressor.phi.rotation import FIXED
-from sparseskin.nodes.process.proc import host_busy_s
 from sparseskin.studies.points import StudyError
 
+from .host import host_busy_s
 from .stopwatch import WATCH
 
 Times = npt.NDArray[np.int64]

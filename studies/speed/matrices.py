@@ -13,11 +13,11 @@ from sparseskin.messages import SkinState, Taxels, decode
 from sparseskin.messages.wire import received, wire_bytes
 from sparseskin.nodes.compressor.phi.gaussian import N_MAX
 from sparseskin.nodes.numerics.arrays import Floats
-from sparseskin.nodes.process.proc import own_bytes
 from sparseskin.nodes.sensor.noise import NoiseModel
 from sparseskin.studies.presses import noisy_skin, press_frames
 
 from .bodies import made_node, timed_step
+from .host import own_bytes
 
 DEFAULT = ("sbhe", 3)
 KINDS = (DEFAULT, ("full", 1), ("subsample", 3), ("gaussian", 3))

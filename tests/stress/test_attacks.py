@@ -22,7 +22,7 @@ from sparseskin.nodes.monitor.live.server import MAX_PAGES
 from sparseskin.nodes.network.gate import MAX_PENDING
 from sparseskin.nodes.network.keys import make_key_files, read_key_pair
 from sparseskin.nodes.network.sockets import Reader, make_context
-from sparseskin.nodes.process.proc import own_bytes
+from sparseskin.studies.speed.host import own_bytes
 
 CLOSING = 64
 """Open files of a node that is closing connections, beyond those that it may keep."""

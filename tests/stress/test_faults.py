@@ -17,8 +17,9 @@ import pytest
 from processes import wait_until
 from stress.graphs import RATE_HZ, ObservedGraph, graph_text
 
-from sparseskin.nodes.process.proc import cpu_s, own_bytes
+from sparseskin.nodes.process.proc import cpu_s
 from sparseskin.nodes.recorder.bag.reader import BagReader
+from sparseskin.studies.speed.host import own_bytes
 
 STREAM = ("sensor", "compressor", "reconstructor")
 NODES = (*STREAM, "monitor", "recorder")

@@ -1,14 +1,23 @@
 """Figures of the study `speed`: those of two ways in turn, and that they do the same work."""
 
+import os
+
 import hypothesis.strategies as st
 import numpy as np
 import pytest
 from hypothesis import given
 
+from sparseskin.nodes.process.proc import cpu_s, resident_bytes
 from sparseskin.nodes.recorder.bag.reader import BagReader
-from sparseskin.studies.speed import matrices, offline
+from sparseskin.studies.speed import host, matrices, offline
 
 times_s = st.floats(1e-6, 1e3)
+
+
+def test_figures_of_this_host_agree_with_those_of_its_processes():
+    pid = os.getpid()
+    assert 0 < host.own_bytes(pid) <= 1.5 * resident_bytes(pid)
+    assert host.host_busy_s() >= cpu_s(pid)
 
 
 @given(*[times_s] * 4, st.integers(1, 10_000))

@@ -1,7 +1,5 @@
 """The measurement matrix Phi: the interface of all kinds, and `make_phi` by name."""
 
-from __future__ import annotations
-
 import hashlib
 import re
 from abc import ABC, abstractmethod
@@ -145,8 +143,9 @@ class Phi(ABC):
 
     def __repr__(self) -> str:
         name = type(self).__name__
-        size = f"m = {self.m} of {self.n} taxels"
-        return f"<{name} {self.kind}: {size}, seed {self.seed}>"
+        return (
+            f"<{name} {self.kind}: m = {self.m} of {self.n} taxels, seed {self.seed}>"
+        )
 
     @classmethod
     def check_size(cls, n: int, m: int, seed: int, block: int) -> None:
@@ -266,8 +265,10 @@ def follow(phi: Phi, **codes: Code | None) -> None:
     choice = phi_fact(phi, "choice")
     for field, code in codes.items():
         if field != choice and code is not None:
-            fault = f"{phi.kind}: measurements with {field}"
-            raise PhiError(f"{fault}; allowed: a phi that chooses its rows by them")
+            raise PhiError(
+                f"{phi.kind}: measurements with {field}; allowed: a phi that chooses "
+                "its rows by them"
+            )
     if not choice:
         return
 
@@ -339,8 +340,7 @@ def block_of(kind: str, block: int | None) -> int:
     if block is not None:
         return block
     # A class of the user's own need not have one.
-    default: int = getattr(phi_class(kind), "default_block", BLOCK)
-    return default
+    return getattr(phi_class(kind), "default_block", BLOCK)
 
 
 @checked(PhiError)

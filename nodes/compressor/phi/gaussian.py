@@ -1,7 +1,5 @@
 """A dense matrix of normal random numbers: the reference of compressed sensing theory."""
 
-from __future__ import annotations
-
 import math
 from functools import cached_property
 

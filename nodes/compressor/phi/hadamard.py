@@ -1,7 +1,5 @@
 """The block Walsh-Hadamard transform in float32: as butterflies, and as matrix products."""
 
-from __future__ import annotations
-
 from collections import Counter
 from collections.abc import Callable, Sequence
 from typing import Any, TypeAlias

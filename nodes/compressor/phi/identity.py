@@ -1,7 +1,5 @@
 """Rows of the identity: taxels measured one by one, all of them or a random choice."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from sparseskin.nodes.errors import PhiError

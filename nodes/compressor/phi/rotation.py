@@ -1,7 +1,5 @@
 """Rotating rows: successive frames are measured by successive row subsets of one matrix W."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from copy import copy

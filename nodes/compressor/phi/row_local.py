@@ -1,7 +1,5 @@
 """Sums within rows of a row-column array: several columns driven at once, a conversion a row."""
 
-from __future__ import annotations
-
 import math
 from typing import Any
 
@@ -58,9 +56,9 @@ class RowLocalPhi(RotatingPhi):
         if n_cols > MAX_COLS:
             raise PhiError(f"row_local: {n_cols} columns; allowed: {MAX_COLS} or fewer")
         if self.m < n_rows:
-            allowed = f"{n_rows} or more, a pattern of {n_rows} rows"
             raise PhiError(
-                f"row_local: m = {self.m} is not allowed; allowed: {allowed}"
+                f"row_local: m = {self.m} is not allowed; allowed: {n_rows} or more, a "
+                f"pattern of {n_rows} rows"
             )
         self._arrange(n_rows, n_cols)
 

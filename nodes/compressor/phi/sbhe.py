@@ -1,7 +1,5 @@
 """The scrambled block Hadamard ensemble, the paper's measurement matrix, and its local form."""
 
-from __future__ import annotations
-
 import functools
 import heapq
 import math
@@ -343,8 +341,7 @@ def neighbourhood_order(exists: Mask, side: int, rng: np.random.Generator) -> In
             parts.append(rng.permutation(taxels))
         # To and fro: a block that goes on in the next neighbourhood stays in one piece of skin.
         first_cols.reverse()
-    order: Indices = np.concatenate(parts).astype(np.intp)
-    return order
+    return np.concatenate(parts).astype(np.intp)
 
 
 @functools.cache

@@ -1,7 +1,5 @@
 """Measurement matrices from a file, for hardware that exists."""
 
-from __future__ import annotations
-
 import functools
 from copy import copy
 from functools import cached_property
@@ -169,14 +167,17 @@ def _wanted(names: list[str]) -> list[str]:
 
 def _checked_stack(stack: AnyArray) -> tuple[csr_array, ...]:
     if stack.ndim != 3 or stack.dtype.kind not in "iufb":
-        expected = "numbers of 3, (k, m, n), or a file of scipy.sparse.save_npz"
-        fault = f"one array, {stack.dtype} of {stack.ndim} dimensions"
-        raise PhiError(f"{fault}; expected {expected}")
+        raise PhiError(
+            f"one array, {stack.dtype} of {stack.ndim} dimensions; expected numbers of "
+            "3, (k, m, n), or a file of scipy.sparse.save_npz"
+        )
 
     k, m, n = stack.shape
     if not (1 <= k <= MAX_SUBSETS and 1 <= m <= n <= MAX_ELEMENTS):
-        allowed = f"allowed: 1..{MAX_SUBSETS} of 1 <= m <= n <= {MAX_ELEMENTS}"
-        raise PhiError(f"{k} matrices of {m} x {n}; {allowed}")
+        raise PhiError(
+            f"{k} matrices of {m} x {n}; allowed: 1..{MAX_SUBSETS} of 1 <= m <= n <= "
+            f"{MAX_ELEMENTS}"
+        )
     matrices = []
     for number, matrix in enumerate(stack):
         try:

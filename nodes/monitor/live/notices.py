@@ -6,6 +6,7 @@ from collections.abc import Iterator, Mapping
 from typing import Any
 
 from sparseskin.messages import Reconstruction
+from sparseskin.nodes.errors import counted
 
 from .feed import Feed, PatchFeed
 
@@ -101,10 +102,7 @@ class Notices:
             yield BAD, f"{late}: the graph cannot keep up."
         n_lost = self._risen(f"lost {name}", patch.lost, now_s)
         if n_lost:
-            frames = "frame"
-            if n_lost > 1:
-                frames = "frames"
-            yield BAD, f"{n_lost} {frames} lost just now."
+            yield BAD, f"{counted(n_lost, 'frame')} lost just now."
 
     def _risen(self, name: str, count: int, now_s: float) -> int:
         """Increase of a count within the last `RECENT_S`."""
@@ -163,8 +161,9 @@ def _grouped(by_patch: Mapping[str, list[Notice]]) -> list[Notice]:
     for (tone, _), of_kind in kinds.items():
         if len(of_kind) > FEW:
             name, text = of_kind[0]
-            names = f"{name} and {len(of_kind) - 1} other patches"
-            grouped.append((tone, f"{names}: {text}"))
+            grouped.append(
+                (tone, f"{name} and {len(of_kind) - 1} other patches: {text}")
+            )
         else:
             grouped += [(tone, f"{name}: {text}") for name, text in of_kind]
     return grouped

@@ -84,8 +84,9 @@ class PageServer(ThreadingHTTPServer):
             try:
                 super().__init__((ADDRESS, 0), _Handler)
             except OSError as error:
-                text = f"the page has no port on {ADDRESS}: {error.strerror}"
-                raise SparseskinError(text) from error
+                raise SparseskinError(
+                    f"the page has no port on {ADDRESS}: {error.strerror}"
+                ) from error
         self.feed = feed
         self.notices = notices
         self.ask = ask
@@ -183,8 +184,10 @@ class PageServer(ThreadingHTTPServer):
         """Count an open stream, or refuse it if there are too many."""
         with self._lock:
             if self.n_streams >= self.max_pages:
-                text = f"{self.max_pages} pages are open already; close one of them"
-                raise _RefusedError(HTTPStatus.SERVICE_UNAVAILABLE, text)
+                raise _RefusedError(
+                    HTTPStatus.SERVICE_UNAVAILABLE,
+                    f"{self.max_pages} pages are open already; close one of them",
+                )
             self.n_streams += 1
         try:
             yield
@@ -255,8 +258,9 @@ class _Handler(BaseHTTPRequestHandler):
             try:
                 url = urlsplit(self.path)
             except ValueError:
-                fault = "malformed address"
-                raise _RefusedError(HTTPStatus.BAD_REQUEST, fault) from None
+                raise _RefusedError(
+                    HTTPStatus.BAD_REQUEST, "malformed address"
+                ) from None
             self._check_token(url)
             action(url)
         except _RefusedError as refusal:
@@ -283,8 +287,10 @@ class _Handler(BaseHTTPRequestHandler):
         if not length.isdecimal():
             raise _RefusedError(HTTPStatus.LENGTH_REQUIRED, "Content-Length is missing")
         if len(length) > 9 or int(length) > MAX_BODY_BYTES:
-            text = f"at most {MAX_BODY_BYTES} bytes are allowed"
-            raise _RefusedError(HTTPStatus.REQUEST_ENTITY_TOO_LARGE, text)
+            raise _RefusedError(
+                HTTPStatus.REQUEST_ENTITY_TOO_LARGE,
+                f"at most {MAX_BODY_BYTES} bytes are allowed",
+            )
         # A form of another site cannot send this type.
         if self.headers.get_content_type() != "application/json":
             raise _RefusedError(
@@ -296,8 +302,9 @@ class _Handler(BaseHTTPRequestHandler):
         except (ValueError, RecursionError):
             request = None
         if not _is_request(request):
-            text = "expected {id, node, command, value} as JSON"
-            raise _RefusedError(HTTPStatus.BAD_REQUEST, text)
+            raise _RefusedError(
+                HTTPStatus.BAD_REQUEST, "expected {id, node, command, value} as JSON"
+            )
         # Nothing else of it is passed on.
         asked = {key: request.get(key) for key in (*TEXTS, "value")}
         self.server.ask(asked)
@@ -342,8 +349,10 @@ class _Handler(BaseHTTPRequestHandler):
         # All are compared: the time to an answer says nothing of which one fits.
         equal = [_is_equal(text, token) for text in tokens]
         if not any(equal):
-            text = "this page asks for a token: open the address that the graph has printed"
-            raise _ForbiddenError(text)
+            raise _ForbiddenError(
+                "this page asks for a token: open the address that the graph has "
+                "printed"
+            )
         # The files of the page are asked for without it.
         if in_address:
             self._cookie = f"{name}={token}; Path=/; HttpOnly; SameSite=Strict"
@@ -358,8 +367,10 @@ class _Handler(BaseHTTPRequestHandler):
     def _stream(self, patch: str | None) -> None:
         feed = self.server.feed
         if patch is not None and patch not in feed.patches:
-            text = f"no patch {patch[:64]!r} (known: {', '.join(feed.patches)})"
-            raise _RefusedError(HTTPStatus.NOT_FOUND, text)
+            raise _RefusedError(
+                HTTPStatus.NOT_FOUND,
+                f"no patch {patch[:64]!r} (known: {', '.join(feed.patches)})",
+            )
         with self.server.stream():
             # The stream has no end of its own: only a stalled page is disconnected.
             self.connection.setsockopt(

@@ -1,7 +1,5 @@
 """The interface of bases Psi, their registry, and `make_basis`."""
 
-from __future__ import annotations
-
 from abc import ABC, abstractmethod
 from collections.abc import Callable
 from typing import Any
@@ -49,9 +47,9 @@ class Basis(ABC):
     def __init__(self, n_rows: int, n_cols: int) -> None:
         is_grid = is_whole(n_rows, 1, MAX_SIDE) and is_whole(n_cols, 1, MAX_SIDE)
         if not is_grid:
-            allowed = f"whole numbers 1..{MAX_SIDE}"
             raise SolverError(
-                f"basis: {n_rows!r} x {n_cols!r} is no grid; allowed: {allowed}"
+                f"basis: {n_rows!r} x {n_cols!r} is no grid; allowed: whole numbers "
+                f"1..{MAX_SIDE}"
             )
         self.n_rows = int(n_rows)
         self.n_cols = int(n_cols)

@@ -1,7 +1,5 @@
 """Bases that are a matrix along each axis at each level, and the Haar basis, the first of them."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import numpy as np

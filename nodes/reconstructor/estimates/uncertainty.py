@@ -1,7 +1,5 @@
 """The standard deviation of each reconstructed force."""
 
-from __future__ import annotations
-
 import math
 from typing import Any
 

@@ -1,7 +1,5 @@
 """An offset that all measurements share, as of a converter that drifts."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from sparseskin.nodes.compressor.phi.base import Phi, block_layout

@@ -1,7 +1,5 @@
 """Measurements without noise, on a skin with noise: equal, clipped or repeated ones."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

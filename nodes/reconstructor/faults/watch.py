@@ -1,7 +1,5 @@
 """Faults of frames: found in measurements, innovations and forces, marked, and kept from them."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
@@ -212,8 +210,9 @@ class FaultWatch:
         self._rows_doubted = self._doubted_rows()
         new = np.flatnonzero(is_doubted & ~was_doubted)
         if len(new):
-            fault = "measurements doubted, no force explains them"
-            self._note("rows", f"{fault}: {listed(new)}")
+            self._note(
+                "rows", f"measurements doubted, no force explains them: {listed(new)}"
+            )
 
     def _doubted_rows(self) -> tuple[int, ...]:
         # Those of any row subset.

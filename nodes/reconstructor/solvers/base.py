@@ -1,7 +1,5 @@
 """The interface of solvers, their registry, and `make_solver`."""
 
-from __future__ import annotations
-
 import inspect
 import math
 from abc import ABC, abstractmethod
@@ -461,14 +459,13 @@ def estimated_error(solver: Solver) -> tuple[float | None, bool]:
     error = getattr(solver, "error", None)
     trusted = getattr(solver, "trusted", True)
     if error is not None and not is_real(error, 0.0):
-        allowed = "a finite number, 0 or more; or None"
         raise SolverError(
-            f"{solver.name}: error = {error!r} is not allowed; allowed: {allowed}"
+            f"{solver.name}: error = {error!r} is not allowed; allowed: a finite "
+            "number, 0 or more; or None"
         )
     if not isinstance(trusted, bool | np.bool_):
-        allowed = "True, False"
         raise SolverError(
-            f"{solver.name}: trusted = {trusted!r} is not allowed; allowed: {allowed}"
+            f"{solver.name}: trusted = {trusted!r} is not allowed; allowed: True, False"
         )
     if error is not None:
         error = float(error)

@@ -1,7 +1,5 @@
 """FISTA iterations in compiled loops, for the scrambled block Hadamard ensemble."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from sparseskin.nodes.compressor.phi.base import BlockLayout

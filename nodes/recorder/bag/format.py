@@ -4,8 +4,6 @@ A bag is one MCAP file: unchanged wire payloads in LZ4 chunks that each carry a 
 index at the end, which is missing if the recorder was killed.
 """
 
-from __future__ import annotations
-
 import os
 from collections.abc import Iterable
 from dataclasses import dataclass
@@ -66,7 +64,6 @@ class BagMessage(NamedTuple):
 
     topic: str  # "/PATCH/SCHEMA"
     schema: str  # of the message: the end of a stream has a schema of its own
-    version: int
     log_time_ns: int  # time of recording
     stamp_ns: int  # of the acquisition, as in the message itself
     payload: bytes  # wire form of the message
@@ -94,7 +91,7 @@ class TopicInfo:
             return 0.0
         return (self.n_messages - 1) * 1e9 / span_ns
 
-    def add(self, schema: str, version: int, stamp_ns: int, log_time_ns: int) -> None:
+    def add(self, schema: str, stamp_ns: int, log_time_ns: int) -> None:
         """Count one message."""
         # The end of a stream counts for the lags alone.
         lag_ns = log_time_ns - stamp_ns
@@ -104,7 +101,7 @@ class TopicInfo:
             return
 
         self.schema = schema
-        self.version = version
+        self.version = SCHEMAS[schema].version
         # Not in the order of stamps: results come later than the frames that follow them.
         if not self.n_messages:
             self.first_ns = stamp_ns

@@ -1,12 +1,9 @@
 """Decoded frames of a bag, and the skins they belong to."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Iterator
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 from tqdm import tqdm
 
 from sparseskin.messages import (
@@ -25,6 +22,7 @@ from sparseskin.messages.base import wire_fields
 from sparseskin.messages.frames import known_forces
 from sparseskin.messages.topics import split_topic, topic_of
 from sparseskin.messages.wire import SCHEMAS
+from sparseskin.nodes.numerics.arrays import Floats, mask_texts
 
 from .format import BagError, BagMessage
 from .reader import BagReader
@@ -57,8 +55,10 @@ def frame_topics(
     if topics is not None:
         for topic in requested:
             if bag.topics[topic].schema not in schemas:
-                allowed = f"allowed are topics of {', '.join(schemas)}"
-                raise BagError(f"{bag.path}: topic {topic} holds no frames; {allowed}")
+                raise BagError(
+                    f"{bag.path}: topic {topic} holds no frames; allowed are topics of "
+                    f"{', '.join(schemas)}"
+                )
 
     with_frames = []
     for topic in requested:
@@ -115,11 +115,9 @@ def state_json(message: Message) -> dict[str, Any]:
     # Those of the publisher, not of the state.
     del values["run_id"]
     del values["seq"]
-    # A line of text for each row of taxels: a person reads it as a picture.
     mask = values.get("mask")
     if mask is not None:
-        rows = mask.astype(int).astype(str)
-        values["mask"] = ["".join(row) for row in rows]
+        values["mask"] = mask_texts(mask)
     for name, value in values.items():
         if hasattr(value, "tolist"):
             values[name] = value.tolist()
@@ -141,7 +139,7 @@ def streams(
             yield message, recorded.log_time_ns
 
 
-def values_of(message: Message) -> npt.NDArray[np.float32] | None:
+def values_of(message: Message) -> Floats | None:
     """The forces of a frame of one patch, NaN where a reading is missing, or its measurements; None
     of another message.
     """
@@ -157,8 +155,9 @@ def decoded(bag: BagReader, recorded: BagMessage) -> Message:
     try:
         return decode(recorded.topic.encode(), recorded.payload)
     except MessageError as error:
-        place = f"{bag.path}: {recorded.topic}, stamp {recorded.stamp_ns}"
-        raise BagError(f"{place}: {error}") from error
+        raise BagError(
+            f"{bag.path}: {recorded.topic}, stamp {recorded.stamp_ns}: {error}"
+        ) from error
 
 
 def skin_of(bag: BagReader, patch: str) -> SkinState | None:

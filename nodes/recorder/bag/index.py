@@ -4,8 +4,6 @@ It is read from the end of a complete bag if checksums prove the file whole. Any
 scanned up to its end or to the first break.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import io
 import json
@@ -19,6 +17,7 @@ from sparseskin.messages import MessageError
 from sparseskin.messages.ranges import INT64_MAX, is_whole
 from sparseskin.messages.topics import split_topic
 from sparseskin.messages.wire import SCHEMAS
+from sparseskin.nodes.errors import counted
 
 from . import format as form
 from . import records as of_file
@@ -35,11 +34,10 @@ _NO_INDEX = "the index at its end is missing or damaged"
 
 
 class BagChannel(NamedTuple):
-    """Topic, schema and version of the messages of a channel."""
+    """Topic and schema of the messages of a channel."""
 
     topic: str
     schema: str
-    version: int
 
 
 class ChunkSpan(NamedTuple):
@@ -106,15 +104,17 @@ class BagIndex:
 
         place = f"{self.name}: topic {channel.topic[:80]}"
         if kind not in SCHEMAS:
-            allowed = f"this program reads {', '.join(SCHEMAS)}"
-            raise BagError(f"{place} holds messages of schema {kind[:40]!r}; {allowed}")
+            raise BagError(
+                f"{place} holds messages of schema {kind[:40]!r}; this program reads "
+                f"{', '.join(SCHEMAS)}"
+            )
         version = channel.metadata.get(form.VERSION_KEY, "")
         if version != str(SCHEMAS[kind].version):
-            fault = f"recorded with {kind} version {version[:20] or 'unknown'}"
             raise BagError(
-                f"{place}: {fault}; this program reads {SCHEMAS[kind].version}"
+                f"{place}: recorded with {kind} version {version[:20] or 'unknown'}; "
+                f"this program reads {SCHEMAS[kind].version}"
             )
-        return BagChannel(channel.topic, kind, SCHEMAS[kind].version)
+        return BagChannel(channel.topic, kind)
 
     def _foreign(self, channel: mcap.Channel, schema_name: str) -> BagError:
         """The error of a channel of another program, with what opens its file."""
@@ -129,10 +129,10 @@ class BagIndex:
         has_our_library = self.library.startswith(form.LIBRARY_PREFIX)
         if not has_our_library and form.GRAPH_RECORD not in self.metadata:
             whose = f"{self.name}: {self.of_another_program}"
-        messages = f"{encoding[:40]!r} messages of schema {schema_name[:80]!r}"
-        expected = f"expected {form.ENCODING!r} and {form.SCHEMA_PREFIX}...{hint}"
         return BagError(
-            f"{whose}: topic {channel.topic[:80]!r} holds {messages}; {expected}"
+            f"{whose}: topic {channel.topic[:80]!r} holds {encoding[:40]!r} messages "
+            f"of schema {schema_name[:80]!r}; expected {form.ENCODING!r} and "
+            f"{form.SCHEMA_PREFIX}...{hint}"
         )
 
     def add_chunk(self, record: Record) -> None:
@@ -149,15 +149,16 @@ class BagIndex:
                 id, log_ns, stamp_ns, _ = of_file.message_of(content, record.offset)
                 channel = self.channels.get(id)
                 if channel is None or max(log_ns, stamp_ns) > INT64_MAX:
-                    why = "a message there has no channel or a wrong time"
-                    raise Break(record.offset, why)
+                    raise Break(
+                        record.offset, "a message there has no channel or a wrong time"
+                    )
                 messages.append((channel, stamp_ns, log_ns))
 
         # Only a chunk without a fault is counted.
         for channel, stamp_ns, log_ns in messages:
-            empty = TopicInfo(channel.schema, channel.version)
+            empty = TopicInfo(channel.schema, SCHEMAS[channel.schema].version)
             info = self.topics.setdefault(channel.topic, empty)
-            info.add(channel.schema, channel.version, stamp_ns, log_ns)
+            info.add(channel.schema, stamp_ns, log_ns)
         self.n_scanned += len(messages)
         if messages:
             log_times = [log_ns for _, _, log_ns in messages]
@@ -298,10 +299,7 @@ def _from_summary(file: BinaryIO, name: str, start: int, stop: int) -> BagIndex 
 
     # Counts of other topics than those of the channels are of no use.
     channels = set(index.channels.values())
-    counted = {
-        BagChannel(topic, info.schema, info.version)
-        for topic, info in index.topics.items()
-    }
+    counted = {BagChannel(topic, info.schema) for topic, info in index.topics.items()}
     channel_topics = {channel.topic for channel in channels}
     if index.topics.keys() != channel_topics or not counted <= channels:
         return None
@@ -339,12 +337,14 @@ def _scan(file: BinaryIO, name: str, damage: str) -> tuple[BagIndex, str]:
     except Break as broken:
         place = f"byte {broken.offset} of {size}"
         if not index.is_bag:
-            fault = f"cannot be read from {place} on ({broken.why}), before anything was recorded"
-            raise BagError(f"{name}: {fault}") from broken
+            raise BagError(
+                f"{name}: cannot be read from {place} on ({broken.why}), before "
+                "anything was recorded"
+            ) from broken
         where = f"{place}: {broken.why}"
 
-    messages = "message" if index.n_scanned == 1 else "messages"
-    return index, f"{index.n_scanned} {messages} recovered, up to {where}"
+    messages = counted(index.n_scanned, "message")
+    return index, f"{messages} recovered, up to {where}"
 
 
 def _scan_records(file: BinaryIO, index: BagIndex, size: int) -> str:
@@ -362,8 +362,10 @@ def _scan_records(file: BinaryIO, index: BagIndex, size: int) -> str:
                 case Opcode.HEADER if record.offset == len(MAGIC):
                     index.library = record.parsed(mcap.Header.read).library
                 case Opcode.MESSAGE:
-                    why = "a message outside the chunks, which no checksum protects"
-                    raise Break(record.offset, why)
+                    raise Break(
+                        record.offset,
+                        "a message outside the chunks, which no checksum protects",
+                    )
                 case Opcode.MESSAGE_INDEX | Opcode.ATTACHMENT:
                     pass
                 case _:
@@ -373,5 +375,6 @@ def _scan_records(file: BinaryIO, index: BagIndex, size: int) -> str:
             if record.opcode not in (Opcode.HEADER, Opcode.METADATA) or index.chunks:
                 raise
             damage = f"the record at byte {record.offset} is damaged"
-    why = "it ends there without an index; its recorder was killed or still runs"
-    raise Break(size, why)
+    raise Break(
+        size, "it ends there without an index; its recorder was killed or still runs"
+    )

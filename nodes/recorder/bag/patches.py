@@ -1,7 +1,5 @@
 """A bag whose messages hold frames of several patches, read as one of a topic for each patch."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import replace
 
@@ -81,7 +79,7 @@ class SplitBag(BagReader):
                 schema = split_topic(single.topic)[1]
                 empty = TopicInfo(schema, SCHEMAS[schema].version)
                 info = topics.setdefault(single.topic, empty)
-                info.add(schema, info.version, single.stamp_ns, single.log_time_ns)
+                info.add(schema, single.stamp_ns, single.log_time_ns)
 
         # States hold for each of the patches.
         for topic in bag.topics.keys() - set(several):

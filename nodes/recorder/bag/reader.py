@@ -1,7 +1,5 @@
 """Reader of bags: complete ones, and those that a killed recorder or a damaged disk left."""
 
-from __future__ import annotations
-
 import json
 import os
 import stat
@@ -95,7 +93,7 @@ class BagReader(AbstractContextManager["BagReader"]):
     def _messages(
         self, wanted: frozenset[str], start_ns: int | None, stop_ns: int | None
     ) -> Iterator[BagMessage]:
-        # A topic has several channels where its schema changed its version.
+        # The end of a stream has a channel of its own.
         channels = {}
         for id, channel in self._index.channels.items():
             if channel.topic in wanted:
@@ -124,9 +122,10 @@ class BagReader(AbstractContextManager["BagReader"]):
             record = record_at(self._file, chunk.offset, chunk.stop, Opcode.CHUNK)
             return open_chunk(record)
         except Break as broken:
-            fault = "is damaged, or was changed while it was read"
-            where = f"at byte {chunk.offset}: {broken.why}"
-            raise BagError(f"{self.path}: {fault}, {where}") from broken
+            raise BagError(
+                f"{self.path}: is damaged, or was changed while it was read, at byte "
+                f"{chunk.offset}: {broken.why}"
+            ) from broken
         except OSError as error:
             raise BagError(f"{self.path}: {error.strerror}") from error
 

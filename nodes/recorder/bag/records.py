@@ -4,8 +4,7 @@ Every length is checked against the file before anything is read, and every chun
 checksum. The functions raise `Break` with the byte from which on the file cannot be read.
 """
 
-from __future__ import annotations
-
+import bz2
 import io
 import struct
 import zlib
@@ -83,11 +82,14 @@ def records(file: IO[bytes], start: int, stop: int) -> Iterator[Record]:
         if opcode not in _KNOWN:
             raise Break(offset, "no record begins there")
         if length > stop - offset - HEAD_BYTES:
-            why = "the file ends in the middle of a record, or its length is wrong"
-            raise Break(offset, why)
+            raise Break(
+                offset,
+                "the file ends in the middle of a record, or its length is wrong",
+            )
         if length > _MAX_RECORD_BYTES:
-            why = f"a record of {length} bytes, at most {_MAX_RECORD_BYTES}"
-            raise Break(offset, why)
+            raise Break(
+                offset, f"a record of {length} bytes, at most {_MAX_RECORD_BYTES}"
+            )
 
         record = Record(opcode, offset, file.read(length))
         yield record
@@ -106,22 +108,45 @@ def open_chunk(record: Record) -> bytes:
     """Decompress the records of a chunk."""
     chunk = record.parsed(Chunk.read)
     offset = record.offset
-
-    # A small chunk can claim to become any size.
     n_bytes = chunk.uncompressed_size
-    if n_bytes > MAX_CHUNK_BYTES:
-        raise Break(offset, f"a chunk of {n_bytes} bytes, at most {MAX_CHUNK_BYTES}")
-    try:
-        plain = _decompressed(chunk)
-    # lz4 and zstandard have families of errors of their own.
-    except Exception as error:
-        raise Break(offset, "a chunk there cannot be decompressed") from error
+    plain = decompressed(chunk.compression, chunk.data, n_bytes, offset)
 
     # 0 stands for a checksum that was not computed.
     checksum = chunk.uncompressed_crc
     if len(plain) != n_bytes or (checksum and zlib.crc32(plain) != checksum):
         raise Break(offset, "the checksum of a chunk there does not match")
     return plain
+
+
+def decompressed(
+    form: str, data: bytes, n_bytes: int, offset: int, max_bytes: int = MAX_CHUNK_BYTES
+) -> bytes:
+    """The records of the chunk at byte `offset`, as far as they can be decompressed, at most
+    `n_bytes`. Raises Break if it states more than `max_bytes`, or they are malformed.
+    """
+    # A small chunk can claim to become any size.
+    if n_bytes > max_bytes:
+        raise Break(offset, f"a chunk of {n_bytes} bytes, at most {max_bytes}")
+    try:
+        # Each stops at the stated size, whatever the compressed bytes would become.
+        match form:
+            case "" | "none":
+                plain = data[:n_bytes]
+            case "zstd":
+                reader = zstandard.ZstdDecompressor(max_window_size=MAX_CHUNK_BYTES)
+                plain = reader.stream_reader(data).read(n_bytes)
+            case "lz4":
+                plain = lz4.frame.LZ4FrameDecompressor().decompress(data, n_bytes)
+            case "bz2":
+                plain = bz2.BZ2Decompressor().decompress(data, n_bytes)
+            case _:
+                raise Break(offset, "a chunk of an unknown compression")
+    except Break:
+        raise
+    # lz4 and zstandard have families of errors of their own.
+    except Exception as error:
+        raise Break(offset, "a chunk there cannot be decompressed") from error
+    return bytes(plain)
 
 
 def chunk_records(plain: bytes, offset: int) -> Iterator[tuple[int, memoryview]]:
@@ -161,17 +186,3 @@ def crc_of(file: BinaryIO, start: int, stop: int) -> int:
         crc = zlib.crc32(block, crc)
         n_remaining -= len(block)
     return crc
-
-
-def _decompressed(chunk: Chunk) -> bytes:
-    # Both stop at the size that the chunk states, whatever the compressed bytes would become.
-    limit = chunk.uncompressed_size
-    if chunk.compression == "lz4":
-        decoder = lz4.frame.LZ4FrameDecompressor()
-        return bytes(decoder.decompress(chunk.data, max_length=limit))
-    if chunk.compression == "zstd":
-        decompressor = zstandard.ZstdDecompressor(max_window_size=MAX_CHUNK_BYTES)
-        return decompressor.stream_reader(chunk.data).read(limit)
-    if chunk.compression == "":
-        return bytes(chunk.data)
-    raise ValueError(chunk.compression)

@@ -1,7 +1,5 @@
 """Writer of bags: NAME.mcap.part while it grows, NAME.mcap once it is complete."""
 
-from __future__ import annotations
-
 import contextlib
 import dataclasses
 import io
@@ -16,7 +14,7 @@ from typing import Any
 
 from mcap.writer import CompressionType, Writer
 
-from sparseskin.messages import Message, MessageError, encode
+from sparseskin.messages import Message, encode
 from sparseskin.messages.base import omitted_fields, wire_fields
 from sparseskin.messages.fields import (
     Each,
@@ -28,8 +26,6 @@ from sparseskin.messages.fields import (
     Text,
     Words,
 )
-from sparseskin.messages.ranges import INT64_MAX
-from sparseskin.messages.topics import split_topic
 from sparseskin.messages.wire import MAX_MESSAGE_BYTES, SCHEMAS
 from sparseskin.nodes.errors import SparseskinError
 from sparseskin.nodes.files import place
@@ -150,8 +146,8 @@ class BagWriter(AbstractContextManager["BagWriter"]):
         self._topics: dict[str, TopicInfo] = {}
         self._failure = ""
         self._closed = False
-        self._channels: dict[tuple[str, str, int], int] = {}
-        self._schemas: dict[tuple[str, int], int] = {}
+        self._channels: dict[tuple[str, str], int] = {}
+        self._schemas: dict[str, int] = {}
 
         try:
             # Found now: the library would fail in the middle of the file.
@@ -181,30 +177,29 @@ class BagWriter(AbstractContextManager["BagWriter"]):
             raise BagError(f"{self.part}: {error.strerror}; {NOT_KEPT}") from error
 
     def write(self, message: BagMessage) -> None:
-        """Record the wire payload of one message, byte for byte. Raises BagError if the topic is
-        not /PATCH/SCHEMA, the schema is unknown, the payload is too large or a time is outside 0 ..
-        2**63 - 1; if the disk refuses (each later call then raises the same line, and the file is
-        not changed any more); or if the bag is closed.
+        """Record the wire payload of one message, byte for byte. Raises BagError if the schema is
+        unknown or the payload is too large; if the disk refuses (each later call then raises the
+        same line, and the file is not changed any more); or if the bag is closed.
         """
         self._check_open()
-        topic, schema, version, log_time_ns, stamp_ns, payload = message
-        channel = self._channel(topic, schema, version)
+        topic, schema, log_time_ns, stamp_ns, payload = message
+        channel = self._channel(topic, schema)
         n_bytes = len(payload)
         if n_bytes > MAX_MESSAGE_BYTES:
-            fault = f"a message of {n_bytes} bytes on {topic}"
-            raise BagError(f"{self.path}: {fault}, at most {MAX_MESSAGE_BYTES}")
-        for name, time_ns in (("log time", log_time_ns), ("stamp", stamp_ns)):
-            if not 0 <= time_ns <= INT64_MAX:
-                fault = f"{name} {time_ns} is outside 0..2**63 - 1"
-                raise BagError(f"{self.path}: {topic}: {fault}")
+            raise BagError(
+                f"{self.path}: a message of {n_bytes} bytes on {topic}, at most "
+                f"{MAX_MESSAGE_BYTES}"
+            )
 
         info = self._topics.get(topic)
         if info is None:
-            info = self._topics[topic] = TopicInfo(schema, version)
+            info = TopicInfo(schema, SCHEMAS[schema].version)
+            self._topics[topic] = info
+
         # 32 bits in the file.
         sequence = info.n_messages & 0xFFFFFFFF
         self._mcap.add_message(channel, log_time_ns, payload, stamp_ns, sequence)
-        info.add(schema, version, stamp_ns, log_time_ns)
+        info.add(schema, stamp_ns, log_time_ns)
         self.n_messages += 1
 
         # The chunk was full.
@@ -218,8 +213,10 @@ class BagWriter(AbstractContextManager["BagWriter"]):
     def record(self, message: Message, log_time_ns: int) -> None:
         """Encode and record a message; raises as `write`."""
         topic, payload = encode(message)
-        form = (topic.decode(), message.schema, message.version)
-        self.write(BagMessage(*form, log_time_ns, message.stamp_ns, payload))
+        stamp_ns = message.stamp_ns
+        self.write(
+            BagMessage(topic.decode(), message.schema, log_time_ns, stamp_ns, payload)
+        )
 
     def tick(self) -> None:
         """Flush if a message has waited for `flush_every_s`; raises as `flush`."""
@@ -267,32 +264,27 @@ class BagWriter(AbstractContextManager["BagWriter"]):
         self._file.close(sync=False)
         self.part.unlink(missing_ok=True)
 
-    def _channel(self, topic: str, schema: str, version: int) -> int:
+    def _channel(self, topic: str, schema: str) -> int:
         """Number of the channel of a topic and schema, which is registered at its first use."""
-        channel = self._channels.get((topic, schema, version))
+        channel = self._channels.get((topic, schema))
         if channel is not None:
             return channel
-        # What a file states is checked once: names come from other programs, too.
-        try:
-            split_topic(topic)
-        except MessageError as error:
-            raise BagError(f"{self.path}: {error}") from error
         if schema not in SCHEMAS:
             hint = did_you_mean(schema, SCHEMAS)
             raise BagError(
                 f"{self.path}: {topic}: schema {schema!r} is not known{hint}"
             )
 
-        form = (schema, version)
-        if form not in self._schemas:
-            text = json.dumps(json_schema(SCHEMAS[schema], version)).encode()
+        cls = SCHEMAS[schema]
+        if schema not in self._schemas:
+            text = json.dumps(json_schema(cls)).encode()
             name = SCHEMA_PREFIX + schema
-            self._schemas[form] = self._mcap.register_schema(name, "jsonschema", text)
-        metadata = {VERSION_KEY: str(version)}
+            self._schemas[schema] = self._mcap.register_schema(name, "jsonschema", text)
+        metadata = {VERSION_KEY: str(cls.version)}
         channel = self._mcap.register_channel(
-            topic, ENCODING, self._schemas[form], metadata
+            topic, ENCODING, self._schemas[schema], metadata
         )
-        self._channels[topic, schema, version] = channel
+        self._channels[topic, schema] = channel
         return channel
 
     def _check_open(self) -> None:
@@ -329,8 +321,10 @@ class BagWriter(AbstractContextManager["BagWriter"]):
         try:
             place(self.part, self.path)
         except OSError as error:
-            remains = f"the recording is complete in {self.part.name}"
-            raise BagError(f"{self.path}: {error.strerror}; {remains}") from error
+            raise BagError(
+                f"{self.path}: {error.strerror}; the recording is complete in "
+                f"{self.part.name}"
+            ) from error
         # The name is on the disk once the folder is.
         with contextlib.suppress(OSError):
             folder = os.open(self.path.parent, os.O_RDONLY)
@@ -340,13 +334,11 @@ class BagWriter(AbstractContextManager["BagWriter"]):
                 os.close(folder)
 
 
-def json_schema(cls: type[Message], version: int) -> dict[str, Any]:
-    """Describe the msgpack map of a version of a message class as a JSON Schema: its fields and
-    their types.
-    """
+def json_schema(cls: type[Message]) -> dict[str, Any]:
+    """Describe the msgpack map of a message class as a JSON Schema: its fields and their types."""
     properties: dict[str, Any] = {
         "schema": {"const": cls.schema},
-        "version": {"const": version},
+        "version": {"const": cls.version},
     }
     for name, kind in wire_fields(cls).items():
         json_type = _TYPES.get(type(kind), "object")

@@ -1,7 +1,5 @@
 """Export of a bag to .csv: a file a topic, a frame a line, below its description and a header."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Iterable, Mapping
 from contextlib import ExitStack

@@ -1,7 +1,5 @@
 """Kinds of export of a bag, by name."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any

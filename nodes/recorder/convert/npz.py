@@ -1,7 +1,5 @@
 """Export of a bag to .npz: arrays for NumPy, and for the sensor's `file:` source."""
 
-from __future__ import annotations
-
 import json
 import math
 import tempfile
@@ -12,13 +10,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from sparseskin.messages import Contacts, Measurements, Message
 from sparseskin.messages.fields import Array, FieldKind, Flag, Integer, Real
 from sparseskin.messages.frames import kinds_alone, values_alone
 from sparseskin.messages.state import described
 from sparseskin.nodes.files import os_errors, whole_file
+from sparseskin.nodes.numerics.arrays import AnyArray, Floats
 from sparseskin.nodes.recorder.bag.format import BagError
 from sparseskin.nodes.recorder.bag.frames import (
     array_names,
@@ -165,7 +163,7 @@ class _Columns:
             with self._files[name].open("ab") as file:
                 file.write(np.ascontiguousarray(numbers).data)
 
-    def _check_shape(self, frame: npt.NDArray[Any], message: Message) -> None:
+    def _check_shape(self, frame: AnyArray, message: Message) -> None:
         """Raise BagError if the frame has another shape than the one before; M may change."""
         if not self._shapes or isinstance(message, Measurements):
             return
@@ -177,7 +175,7 @@ class _Columns:
             sizes += " x ".join(map(str, previous))
             raise BagError(f"{self._place}, stamp {message.stamp_ns}: {sizes}")
 
-    def arrays(self) -> dict[str, npt.NDArray[Any]]:
+    def arrays(self) -> dict[str, AnyArray]:
         """Arrays by their names in the file; a field that no message has gets none."""
         # As the sensor reads them from a file.
         frames_name, stamps_name = array_names(self._schema)
@@ -200,7 +198,7 @@ class _Columns:
             for name, value in arrays.items()
         }
 
-    def _frames(self, path: Path) -> npt.NDArray[np.float32]:
+    def _frames(self, path: Path) -> Floats:
         """The frames in a file, with NaN behind those of fewer measurements."""
         # The largest shape: all frames have the same one but measurements, whose M may change.
         numbers = np.memmap(path, np.float32, "r")
@@ -210,9 +208,10 @@ class _Columns:
             return numbers.reshape(shape)
         # One long frame among many short ones would fill the disk.
         if n_padded > max(MAX_PADDED, MAX_PADDING * numbers.size):
-            fault = f"{numbers.size} numbers would be padded to {n_padded}"
-            allowed = f"at most {MAX_PADDING} times as many are allowed"
-            raise BagError(f"{self._place}: {fault}; {allowed}; export to csv")
+            raise BagError(
+                f"{self._place}: {numbers.size} numbers would be padded to {n_padded}; "
+                f"at most {MAX_PADDING} times as many are allowed; export to csv"
+            )
 
         # M may change between messages: the rest of a row is NaN.
         padded = np.memmap(f"{path}_padded", np.float32, "w+", shape=shape)
@@ -228,7 +227,7 @@ class _Contacts:
     """Contacts of one topic, column by column, and their events."""
 
     def __init__(self) -> None:
-        self._columns: dict[str, list[npt.NDArray[Any]]] = {}
+        self._columns: dict[str, list[AnyArray]] = {}
         self._events: list[tuple[int, int, str]] = []
 
     def add(self, message: Message, log_time_ns: int) -> None:
@@ -237,7 +236,7 @@ class _Contacts:
             self._columns.setdefault(name, []).append(column)
         self._events += [(message.stamp_ns, *event) for event in message.named_events]
 
-    def arrays(self) -> dict[str, npt.NDArray[Any]]:
+    def arrays(self) -> dict[str, AnyArray]:
         """Arrays by their names in the file."""
         arrays = {name: np.concatenate(parts) for name, parts in self._columns.items()}
         dtypes = {

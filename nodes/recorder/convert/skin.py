@@ -1,7 +1,5 @@
 """Export of the calibration in a bag to skin.toml."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Bags made of other files: recordings in other formats, and broken bags."""
 
-from __future__ import annotations
-
 import heapq
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager

@@ -1,18 +1,15 @@
 """From raw readings to forces: baseline, gains, response curve, drift, mask, range."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from sparseskin.messages.ranges import is_whole
 from sparseskin.messages.skin import Skin
 from sparseskin.nodes.errors import RefusedError
-from sparseskin.nodes.numerics.arrays import Doubles, Floats, Mask
+from sparseskin.nodes.numerics.arrays import AnyArray, Doubles, Floats, Mask
 from sparseskin.nodes.sensor.repetition import line_on_still
 from sparseskin.nodes.sensor.saturation import Clipped
 
@@ -73,11 +70,11 @@ class Chain:
 
         self._tared = ""  # the last tare, in words
         self._tare_left = 0  # frames that it still waits for
-        self._taring: list[npt.NDArray[Any]] = []
+        self._taring: list[AnyArray] = []
         if tare:
             self.start_tare(tare)
 
-    def process(self, raw: npt.NDArray[Any], stamp_ns: int) -> Floats | None:
+    def process(self, raw: AnyArray, stamp_ns: int) -> Floats | None:
         """Return the forces of a frame as `apply`; None for one of the tare at the start."""
         if self._tare_left:
             self._taring.append(np.array(raw, dtype=np.float32))
@@ -92,7 +89,7 @@ class Chain:
             return None
         return self.apply(raw, stamp_ns)
 
-    def apply(self, raw: npt.NDArray[Any], stamp_ns: int) -> Floats:
+    def apply(self, raw: AnyArray, stamp_ns: int) -> Floats:
         """Forces of a frame in the skin's unit, a fresh float32 array (rows, cols) in [f_min,
         f_max], NaN where the reading, or that of the tare, is missing.
 
@@ -127,8 +124,10 @@ class Chain:
         """
         n_frames = TARE_FRAMES if value is None else value
         if not is_whole(n_frames, 1, MAX_TARE_FRAMES):
-            fault = f"{str(value)[:40]!r} is no number of frames"
-            raise RefusedError(f"tare: {fault} (allowed: 1..{MAX_TARE_FRAMES})")
+            raise RefusedError(
+                f"tare: {str(value)[:40]!r} is no number of frames (allowed: "
+                f"1..{MAX_TARE_FRAMES})"
+            )
         n_cells = self.description.n_rows * self.description.n_cols
         limit = MAX_TARE_READINGS // n_cells
         if n_frames > limit:
@@ -138,7 +137,7 @@ class Chain:
         self._tare_left = n_frames
         return f"the baseline becomes the median of the next {n_frames} frames"
 
-    def tare(self, frames: Sequence[npt.NDArray[Any]]) -> None:
+    def tare(self, frames: Sequence[AnyArray]) -> None:
         """Take the median of one or more untouched frames for the baseline, forget the drift, and
         log how much the forces of the untouched skin changed. A taxel whose reading is missing in
         all of them has no baseline, and no force until the next tare. Noise that is not stated is
@@ -185,7 +184,7 @@ class Chain:
         self.clipped.sign.reset()
         self.is_news = True
 
-    def _measure_noise(self, readings: npt.NDArray[Any]) -> None:
+    def _measure_noise(self, readings: AnyArray) -> None:
         """State the noise of untouched frames, unless it is so large that they were touched."""
         works = self.skin.exists & ~self._untared
         frames = [self.description.forces(frame)[works] for frame in readings]

@@ -1,20 +1,17 @@
 """The description of one skin: geometry, range and calibration, and its form as messages."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Protocol
+from typing import Protocol
 
 import numpy as np
-import numpy.typing as npt
 
 from sparseskin.messages import Calibration, SkinState
 from sparseskin.messages.errors import MessageError
 from sparseskin.messages.fields import MAX_ELEMENTS, MAX_SIDE, Integer, Real
 from sparseskin.messages.skin import Skin
 from sparseskin.nodes.errors import SourceError, SparseskinError
-from sparseskin.nodes.numerics.arrays import Doubles, Floats, Mask
+from sparseskin.nodes.numerics.arrays import AnyArray, Doubles, Floats, Integers, Mask
 
 MAX_NAME = 64
 """Longest name of a skin, characters."""
@@ -54,7 +51,7 @@ class Placement(Protocol):
     def skin(self, f_max: float, unit: str) -> Skin:
         """The skin of this grid with a range."""
 
-    def point_rows(self, exists: Mask) -> npt.NDArray[np.int32]:
+    def point_rows(self, exists: Mask) -> Integers:
         """Row of each taxel of a mask of the grid among those of the file, int32 (n_taxels,)."""
 
     def summary(self) -> Sequence[str]:
@@ -63,9 +60,7 @@ class Placement(Protocol):
     def check_size(self, n_readings: int) -> None:
         """Raise SourceError unless a frame of so many readings has one for each taxel."""
 
-    def on_grid(
-        self, values: npt.NDArray[Any], unused: float = 0.0
-    ) -> npt.NDArray[Any]:
+    def on_grid(self, values: AnyArray, unused: float = 0.0) -> AnyArray:
         """Readings in the order of the file on the grid, of the same dtype; `unused` in cells
         without a taxel. Raises SourceError as `check_size`.
         """
@@ -105,8 +100,10 @@ class Response:
         for name, values in vars(self).items():
             steps = np.diff(values, axis=0, prepend=0)
             if not ((steps > 0).all() and values.max() <= MAX_NUMBER):
-                allowed = f"must be above 0, at most {MAX_NUMBER:g}, and rise from knot to knot"
-                raise SkinFileError(f"response.{name}: {allowed}")
+                raise SkinFileError(
+                    f"response.{name}: must be above 0, at most {MAX_NUMBER:g}, and "
+                    "rise from knot to knot"
+                )
 
         # Slopes of knots that are too close overflow, which the check refuses.
         with np.errstate(all="ignore"):
@@ -124,10 +121,9 @@ class Response:
         runs = np.diff(self.reading, axis=0, prepend=0.0)
         # Rises of all taxels beside the runs of each.
         shape = (-1, *(1,) * (runs.ndim - 1))
-        slopes: Doubles = rises.reshape(shape) / runs
-        return slopes
+        return rises.reshape(shape) / runs
 
-    def forces(self, readings: npt.NDArray[Any]) -> Doubles:
+    def forces(self, readings: AnyArray) -> Doubles:
         """Forces of readings, shape (..., n_rows, n_cols), any real dtype."""
         slopes = self.slopes
         forces: Doubles = slopes[0] * np.asarray(readings, dtype=np.float64)
@@ -185,8 +181,10 @@ class SkinDescription:
         text = getattr(self, key)
         is_printable = isinstance(text, str) and text.strip() and text.isprintable()
         if not (is_printable and len(text) <= longest):
-            expected = f"expected 1..{longest} printable characters"
-            raise SkinFileError(f"{key}: {expected}, got {ascii(text)[:40]}")
+            raise SkinFileError(
+                f"{key}: expected 1..{longest} printable characters, got "
+                f"{ascii(text)[:40]}"
+            )
 
     def _check_numbers(self) -> None:
         """Check the size and range, which bound what the arrays may hold."""
@@ -214,9 +212,9 @@ class SkinDescription:
     ) -> None:
         array = getattr(self, key)
         if array is not None and (array.shape != shape or array.dtype != dtype):
-            expected = f"expected {np.dtype(dtype)} of shape {shape}"
             raise SkinFileError(
-                f"{key}: {array.dtype} of shape {array.shape}; {expected}"
+                f"{key}: {array.dtype} of shape {array.shape}; expected "
+                f"{np.dtype(dtype)} of shape {shape}"
             )
 
     def _check_values(self) -> None:
@@ -235,11 +233,9 @@ class SkinDescription:
             return
         reading = self.response.reading
         if reading.shape[1:] not in ((), self.shape) or reading.size > MAX_CURVES:
-            expected = (
-                f"K numbers, or K grids of {self.shape}, {MAX_CURVES} numbers at most"
-            )
             raise SkinFileError(
-                f"response.reading: shape {reading.shape}; expected {expected}"
+                f"response.reading: shape {reading.shape}; expected K numbers, or K "
+                f"grids of {self.shape}, {MAX_CURVES} numbers at most"
             )
 
     @property
@@ -288,12 +284,12 @@ class SkinDescription:
         steps = (self.baseline, self.gains, self.response)
         return any(step is not None for step in steps)
 
-    def forces(self, raw: npt.NDArray[Any]) -> Doubles:
+    def forces(self, raw: AnyArray) -> Doubles:
         """Forces of raw readings, shape (..., rows, cols), not clipped to the range; 0 in masked
         cells. A fresh array.
         """
         # In float64: counts of a converter of 24 bits less a baseline near them.
-        forces: Doubles = np.array(raw, dtype=np.float64)
+        forces = np.array(raw, dtype=np.float64)
         if self.baseline is not None:
             forces -= self.baseline
         if self.gains is not None:
@@ -304,12 +300,12 @@ class SkinDescription:
             forces[..., ~self.mask] = 0.0
         return forces
 
-    def inverted(self) -> SkinDescription:
+    def inverted(self) -> "SkinDescription":
         """This description for readings that fall where it has them rise with force."""
         gains = np.ones(self.shape) if self.gains is None else self.gains
         return replace(self, gains=-gains)
 
-    def on(self, skin: Skin, where: str) -> SkinDescription:
+    def on(self, skin: Skin, where: str) -> "SkinDescription":
         """This description for a source with a skin of its own: cells that it masks are masked.
         Raises SourceError, after `where`, if the source has another shape.
         """

@@ -11,8 +11,6 @@ deviations, of a taxel or of the mean of 3 x 3: the noise of a mean of nine is a
 as slowly as a drift is one.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 
@@ -174,7 +172,7 @@ class Drift:
         self._slow += slow * (means - self._slow)
 
         # A fall of the same size ends a press, too.
-        step: Doubles = self._fast - self._slow
+        step = self._fast - self._slow
         threshold = self._step_threshold(fast, slow)
         self._risen &= step > -threshold
         begins = (step > threshold) & ~self._risen
@@ -183,7 +181,7 @@ class Drift:
         self._risen |= begins
 
         # A press is over once most of its rise is gone.
-        rise: Doubles = self._fast - self._base
+        rise = self._fast - self._base
         np.maximum(self._rise, rise, out=self._rise)
         self._risen &= rise >= TUNING.step_left * self._rise
 

@@ -1,18 +1,15 @@
 """Calibration of a skin from untouched frames and presses of known weight."""
 
-from __future__ import annotations
-
 import math
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any, Literal, NamedTuple
+from typing import Literal, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
 from sparseskin.nodes.errors import SparseskinError
-from sparseskin.nodes.numerics.arrays import Doubles, Mask
+from sparseskin.nodes.numerics.arrays import AnyArray, Doubles, Mask
 from sparseskin.nodes.sensor.sign import MAD_TO_SD
 
 from .description import MAX_KNOTS, MAX_NUMBER, Response, SkinDescription
@@ -57,7 +54,7 @@ class Press:
 
     label: str  # for reports, e.g. "500g"
     force: float  # total, newtons, above 0
-    frames: npt.NDArray[Any]  # (n, rows, cols), raw readings under the steady load
+    frames: AnyArray  # (n, rows, cols), raw readings under the steady load
     #: (rows, cols), True for the cells that carry the load evenly; None: only the total is known.
     area: Mask | None = None
 
@@ -123,7 +120,7 @@ class Fit:
 
 def fit(
     name: str,
-    untouched: npt.NDArray[Any],
+    untouched: AnyArray,
     presses: Sequence[Press] = (),
     *,
     f_max: float | None = None,
@@ -241,9 +238,7 @@ class _EvenLoad(NamedTuple):
     rise: Doubles
 
 
-def _checked_shape(
-    untouched: npt.NDArray[Any], presses: Sequence[Press]
-) -> tuple[int, int]:
+def _checked_shape(untouched: AnyArray, presses: Sequence[Press]) -> tuple[int, int]:
     """Rows and columns of all frames; CalibrationError if they differ, or there are too few."""
     if untouched.ndim != 3 or len(untouched) < 2:
         raise CalibrationError(
@@ -254,15 +249,15 @@ def _checked_shape(
         n_frames = len(press.frames)
         press_shape = press.frames.shape[1:]
         if press_shape != shape or not n_frames:
-            needed = f"the untouched ones have {shape}, and at least one is needed"
             raise CalibrationError(
-                f"{press.label}: frames of shape {press_shape}; {needed}"
+                f"{press.label}: frames of shape {press_shape}; the untouched ones "
+                f"have {shape}, and at least one is needed"
             )
     return shape
 
 
 def _at_rest(
-    untouched: npt.NDArray[Any],
+    untouched: AnyArray,
     presses: Sequence[Press],
     exists: Mask,
     remarks: list[str],
@@ -281,13 +276,14 @@ def _at_rest(
     n_noisy = int(noisy.sum())
     unsteady_share = float(unsteady[exists].mean())
     if n_noisy > TOUCHED_SHARE * exists.sum():
-        remark = (
+        remarks.append(
             f"{n_noisy} taxels are noisy: was the skin touched where it should not be?"
         )
-        remarks.append(remark)
     elif unsteady_share > OUTLIERS:
-        part = f"{100 * unsteady_share:.0f} % of the untouched readings"
-        remarks.append(f"{part} come and go: was the skin touched?")
+        remarks.append(
+            f"{100 * unsteady_share:.0f} % of the untouched readings come and go: was "
+            "the skin touched?"
+        )
     return _Rest(baseline, noise, typical_noise, stuck, noisy, works & ~noisy)
 
 
@@ -331,7 +327,7 @@ def _with_range(
     return replace(skin, f_max=f_max, noise=float(f"{sigma:.3g}"), f_min=f_min)
 
 
-def steady(frames: npt.NDArray[Any]) -> tuple[Doubles, Doubles, Doubles]:
+def steady(frames: AnyArray) -> tuple[Doubles, Doubles, Doubles]:
     """Mean and standard deviation of each taxel over steady frames, and the share of its readings
     that are not steady, float64 (rows, cols) each.
 
@@ -369,14 +365,14 @@ def _rise(press: Press, at_rest: _Rest) -> Doubles:
     noise_of_sum = math.sqrt(float(np.square(at_rest.noise[works]).sum()))
     chance = TOUCHED * noise_of_sum
     if abs(frame_sum - steady_sum) > MOVED * abs(frame_sum) + chance:
-        sums = f"its frames add up to {frame_sum:.4g}, the readings that stay to {steady_sum:.4g}"
         raise CalibrationError(
-            f"{press.label}: the load moves: {sums}; let it stand still"
+            f"{press.label}: the load moves: its frames add up to {frame_sum:.4g}, the "
+            f"readings that stay to {steady_sum:.4g}; let it stand still"
         )
     return rise
 
 
-def _stuck(untouched: npt.NDArray[Any], presses: Sequence[Press]) -> Mask:
+def _stuck(untouched: AnyArray, presses: Sequence[Press]) -> Mask:
     """Taxels whose reading never changes, where that of most does."""
     still = np.ones(untouched.shape[1:], dtype=np.bool_)
     for frames in (untouched, *(press.frames for press in presses)):
@@ -510,10 +506,9 @@ def _common_gain(
     # By more than weights and noise explain.
     if error.max() > 0.1:
         worst = presses[int(error.argmax())].label
-        remedy = "even loads over a stated area give each taxel its own"
         remarks.append(
-            f"{worst}: {100 * error.max():.0f} % off one gain for all: "
-            f"taxels or loads differ; {remedy}"
+            f"{worst}: {100 * error.max():.0f} % off one gain for all: taxels or loads "
+            "differ; even loads over a stated area give each taxel its own"
         )
     return np.full(works.shape, gain)
 

@@ -1,16 +1,12 @@
 """Doubt: why the readings of a frame are not to be trusted, by rest, sign, range and repetition."""
 
-from __future__ import annotations
-
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from sparseskin.messages.skin import Skin
 from sparseskin.messages.text import printable
-from sparseskin.nodes.numerics.arrays import Floats, Mask
+from sparseskin.nodes.numerics.arrays import AnyArray, Floats, Mask
 from sparseskin.nodes.sensor.calibration.chain import TARE_FRAMES
 from sparseskin.nodes.sensor.calibration.description import SkinDescription
 from sparseskin.nodes.sensor.layout.checks import ADD
@@ -135,7 +131,7 @@ class Doubt:
 
 
 def line_on_sign(
-    described: SkinDescription, frames: npt.NDArray[Any], is_inverted: bool
+    described: SkinDescription, frames: AnyArray, is_inverted: bool
 ) -> str:
     """Line on the sign of raw frames, (n, n_rows, n_cols), of a skin that was calibrated without a
     press, as `Doubt.line`.

@@ -1,7 +1,5 @@
 """Repeats: taxels that read the same number again and again, where noise would change it."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

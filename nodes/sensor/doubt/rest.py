@@ -1,7 +1,5 @@
 """Rest: what an untouched skin reads where nothing takes its baseline away."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Addresses of scenes: scene:NAME, on a flat grid or on points."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -53,8 +51,10 @@ class SceneAddress(Address):
             raise SourceError(f"no scene on points is called {name!r}{hint}")
         elif not self.points and not on_grid:
             if name in point_scenes():
-                remedy = "state points, a file of them"
-                raise SourceError(f"scene {name} presses a skin of points; {remedy}")
+                raise SourceError(
+                    f"scene {name} presses a skin of points; state points, a file of "
+                    "them"
+                )
             check_scene(name, TILED)
 
     def _check_size(self, shape: tuple[int, int]) -> None:
@@ -97,8 +97,10 @@ class SceneAddress(Address):
         for name in ("n_rows", "n_cols", "unit", "f_max"):
             value = getattr(self.layout, name)
             if value is not None:
-                fault = f"{name} = {value} is stated, but a scene has its own"
-                raise SourceError(f"{self.source}: {fault}")
+                raise SourceError(
+                    f"{self.source}: {name} = {value} is stated, but a scene has its "
+                    "own"
+                )
         if not self.points:
             return open_scene(self.rest, seed=self.seed)
         return point_skins().open_scene(self.rest, self.points, self.seed)
@@ -106,10 +108,13 @@ class SceneAddress(Address):
     @classmethod
     def listings(cls) -> Sequence[Listing]:
         flat = {name: about(make) for name, make in SCENES.items()}
-        title = "scenes that press a skin of points: add --set sensor.points=LAYOUT"
         listings = [
             Listing("scenes", "scenes", _entries(flat)),
-            Listing("points", title, _entries(point_scenes())),
+            Listing(
+                "points",
+                "scenes that press a skin of points: add --set sensor.points=LAYOUT",
+                _entries(point_scenes()),
+            ),
         ]
         # Layouts that need no file, of the plug-in for points.
         for skins in loaded(POINTS).values():

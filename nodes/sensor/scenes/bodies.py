@@ -11,8 +11,6 @@ deeper than 1 mm misses taxels. The cube is exact. tests/nodes/sensor/scenes/tes
 errors: 51 dB and more (PSNR), where the noise has 47 to 48 dB.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -91,17 +89,17 @@ def slab(
     return underside
 
 
-def disc(radius: float, height: float) -> Primitive:
-    """A flat round underside about the origin; all in m."""
+def disc(radius: float) -> Primitive:
+    """A flat round underside about the origin, its lowest part; in m."""
 
     def underside(x: Doubles, y: Doubles) -> Doubles:
-        return np.where(np.hypot(x, y) <= radius, height, FAR_M)
+        return np.where(np.hypot(x, y) <= radius, 0.0, FAR_M)
 
     return underside
 
 
 def roller(
-    x_min: float, x_max: float, y_axis: float, radius: float, slope: float = 0.0
+    x_min: float, x_max: float, y_axis: float, radius: float, slope: float
 ) -> Primitive:
     """A cylinder lying along x; in m. It touches at x_max and rises by `slope` towards x_min."""
 
@@ -119,14 +117,13 @@ def capsule(
     start: tuple[float, float],
     end: tuple[float, float],
     radius: float,
-    height: float = 0.0,
 ) -> Primitive:
-    """A rounded bead along a segment, its lowest line at `height`; all in m."""
+    """A rounded bead along a segment, its lowest line that of the body; all in m."""
 
     def underside(x: Doubles, y: Doubles) -> Doubles:
         away = _distance(x, y, start, end)
         drop = np.sqrt(np.maximum(radius**2 - away**2, 0.0))
-        return np.where(away <= radius, height + radius - drop, FAR_M)
+        return np.where(away <= radius, radius - drop, FAR_M)
 
     return underside
 
@@ -239,7 +236,7 @@ def metal_peg(taxel_radius_m: float) -> Body:
     density = 2700.0
     mass = density * math.pi * radius**2 * length
     bounds = (-radius, radius, -radius, radius)
-    sole = build_sole([disc(radius, 0.0)], bounds, taxel_radius_m)
+    sole = build_sole([disc(radius)], bounds, taxel_radius_m)
     # Of a solid cylinder, about an axis across it.
     return Body(sole, mass, mass * (3 * radius**2 + length**2) / 12)
 

@@ -9,8 +9,6 @@ implicit stages, then implicit Euler where the set of loaded cells still changes
     result:   q(t + dt) = q* + h v2,         v(t + dt) = v2
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

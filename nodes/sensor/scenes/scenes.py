@@ -15,8 +15,6 @@ scenes have the same skin, and
 Source: paper, section II-B and table I for bodies, motions, numbers and lengths of steps.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Iterable
 from dataclasses import replace

@@ -4,8 +4,6 @@ In each time step the body moves by `RigidBody.step` along its free coordinates 
 along the skin; the forces of the taxels are the average of the last 10 steps, clipped to f_max.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Literal
@@ -68,7 +66,7 @@ class RandomPath:
         half_width_m: float,
         half_height_m: float,
         end_s: float,
-    ) -> tuple[Place, PolygonalCourse]:
+    ) -> "tuple[Place, PolygonalCourse]":
         """Draw the place of the drop, in m from the middle of the skin, and a course from there
         until `end_s`. Places are uniform in a rectangle about that middle.
         """

@@ -1,7 +1,5 @@
 """The cells under a body: the taxels of the skin, and the lower ground around them."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from typing import TypeVar

@@ -8,8 +8,6 @@ their press. Body sizes are those of the patch; their weights are such that the 
 near 0.3 N a taxel.
 """
 
-from __future__ import annotations
-
 import functools
 import math
 from collections.abc import Callable, Iterator

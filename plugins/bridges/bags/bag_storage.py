@@ -1,18 +1,16 @@
 """Recordings .bag of ROS 1, whose index is not used for messages: a killed recorder leaves none."""
 
-from __future__ import annotations
-
 import io
 import struct
 from collections.abc import Iterable, Iterator
 from typing import IO, NamedTuple
 
 from sparseskin.nodes.errors import SourceError
-from sparseskin.nodes.recorder.bag.records import Break
+from sparseskin.nodes.recorder.bag.records import Break, decompressed
 from sparseskin.nodes.sensor.layout.checks import reading
 from sparseskin.plugins.bridges.messages.definitions import full_name
 
-from .chunks import ChunkedStorage, begin_of_chunk
+from .chunks import ChunkedStorage
 from .storage import Topic
 
 MAGIC = b"#ROSBAG V2.0\n"
@@ -138,8 +136,9 @@ def _bytes(file: IO[bytes], offset: int, stop: int, most: int) -> bytes:
     (n_bytes,) = LENGTH.unpack(raw)
     # A length is compared with what there is before anything is read.
     if n_bytes > stop - file.tell():
-        why = "the file ends in the middle of a record, or its length is wrong"
-        raise Break(offset, why)
+        raise Break(
+            offset, "the file ends in the middle of a record, or its length is wrong"
+        )
     if n_bytes > most:
         raise Break(offset, f"a record of {n_bytes} bytes, at most {most}")
     return file.read(n_bytes)
@@ -162,4 +161,4 @@ def _plain(record: Record) -> bytes:
     """The records of a chunk, or what can be decompressed of them."""
     form = record.text(b"compression")
     n_bytes = record.number(b"size")
-    return begin_of_chunk(form, record.data, n_bytes, record.offset, MAX_CHUNK_BYTES)
+    return decompressed(form, record.data, n_bytes, record.offset, MAX_CHUNK_BYTES)

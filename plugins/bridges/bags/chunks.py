@@ -2,21 +2,15 @@
 are the same.
 """
 
-from __future__ import annotations
-
-import bz2
 from abc import abstractmethod
 from collections.abc import Collection, Iterable, Iterator
 from contextlib import suppress
 from typing import IO, Any, ClassVar
 
-import lz4.frame  # type: ignore[import-untyped, unused-ignore]
-import zstandard
-
-from sparseskin.nodes.recorder.bag.records import MAX_CHUNK_BYTES, Break
+from sparseskin.nodes.recorder.bag.records import Break
 from sparseskin.nodes.sensor.layout.checks import reading
 
-from .storage import MAX_WINDOW_BYTES, Recorded, Storage
+from .storage import Recorded, Storage
 
 Record = Any
 """A record; its `offset` is the byte at which it begins, or the chunk that holds it."""
@@ -98,33 +92,3 @@ class ChunkedStorage(Storage):
             topic, described = self.connections[number]
             if topic in topics:
                 yield Recorded(topic, described.kind, log_ns, data)
-
-
-def begin_of_chunk(
-    form: str, data: bytes, n_bytes: int, place: int, most: int = MAX_CHUNK_BYTES
-) -> bytes:
-    """The records of a chunk at a place of a file, as far as they can be decompressed, at most
-    `n_bytes`. Raises Break if it states more than `most`, or they are malformed.
-    """
-    if n_bytes > most:
-        raise Break(place, f"a chunk of {n_bytes} bytes, at most {most}")
-    decompressor: Any
-    try:
-        if form in ("", "none"):
-            return data[:n_bytes]
-        if form == "zstd":
-            # A stream stops at the stated size, whatever the bytes would become.
-            decompressor = zstandard.ZstdDecompressor(max_window_size=MAX_WINDOW_BYTES)
-            return bytes(decompressor.stream_reader(data).read(n_bytes))
-        decompressor = _DECOMPRESSORS[form]()
-        return bytes(decompressor.decompress(data, n_bytes))
-    except KeyError as error:
-        raise Break(place, "a chunk of an unknown compression") from error
-    except (OSError, RuntimeError, ValueError, zstandard.ZstdError) as error:
-        raise Break(place, "a chunk there cannot be decompressed") from error
-
-
-_DECOMPRESSORS = {
-    "bz2": bz2.BZ2Decompressor,
-    "lz4": lz4.frame.LZ4FrameDecompressor,
-}

@@ -1,7 +1,5 @@
 """Recordings .db3 of ROS 2, which are databases of SQLite."""
 
-from __future__ import annotations
-
 import sqlite3
 from collections.abc import Collection, Iterator
 from contextlib import closing, contextmanager
@@ -50,9 +48,9 @@ class Db3Storage(Storage):
         marks = ",".join("?" * len(numbers))
 
         # As they were written: an index may be behind the place where a file is cut off.
-        columns = "topic_id, timestamp, data"
         query = (
-            f"SELECT {columns} FROM messages NOT INDEXED WHERE topic_id IN ({marks})"
+            "SELECT topic_id, timestamp, data FROM messages NOT INDEXED WHERE topic_id "
+            f"IN ({marks})"
         )
         n = 0
         with self._opened() as base:
@@ -77,8 +75,10 @@ class Db3Storage(Storage):
         tables = {name for (name,) in base.execute("SELECT name FROM sqlite_master")}
         if "message_definitions" not in tables:
             return {}
-        columns = "topic_type, encoding, encoded_message_definition"
-        rows = base.execute(f"SELECT {columns} FROM message_definitions")
+        rows = base.execute(
+            "SELECT topic_type, encoding, encoded_message_definition FROM "
+            "message_definitions"
+        )
         return {
             str(kind): (FORMS[form], str(text))
             for kind, form, text in rows
@@ -99,8 +99,10 @@ class Db3Storage(Storage):
                 query = "SELECT name FROM sqlite_master WHERE type = 'table'"
                 tables = {name for (name,) in base.execute(query)}
                 if not tables >= {"topics", "messages"}:
-                    fault = "holds no tables topics and messages of a bag of ROS 2"
-                    raise SourceError(f"{self.name}: {fault}")
+                    raise SourceError(
+                        f"{self.name}: holds no tables topics and messages of a bag of "
+                        "ROS 2"
+                    )
                 yield base
         except (sqlite3.Error, UnicodeError, OverflowError) as error:
             raise unreadable(self.name, error) from error

@@ -1,7 +1,5 @@
 """Recordings .mcap of ROS."""
 
-from __future__ import annotations
-
 import io
 import struct
 from collections.abc import Iterable, Iterator
@@ -19,6 +17,7 @@ from sparseskin.nodes.recorder.bag.records import (
     Break,
     Record,
     chunk_records,
+    decompressed,
     message_of,
     open_chunk,
     records,
@@ -27,7 +26,7 @@ from sparseskin.nodes.sensor.layout.checks import reading
 from sparseskin.plugins.bridges.messages.definitions import full_name
 from sparseskin.plugins.bridges.messages.json_messages import KIND as JSON_KIND
 
-from .chunks import ChunkedStorage, begin_of_chunk
+from .chunks import ChunkedStorage
 from .storage import Topic
 
 FOOTER_BYTES = HEAD_BYTES + 20
@@ -83,7 +82,7 @@ class McapStorage(ChunkedStorage):
             stream.read8()
         except (EndOfFile, struct.error, UnicodeDecodeError):
             return ()
-        plain = begin_of_chunk(form, content.read(), n_plain, offset)
+        plain = decompressed(form, content.read(), n_plain, offset)
         return _inner(plain, offset)
 
     def payload(self, record: Record) -> tuple[int, int, bytes] | None:

@@ -1,7 +1,5 @@
 """The metadata.yaml of a bag of ROS 2."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any, NamedTuple
 

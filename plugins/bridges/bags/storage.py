@@ -1,7 +1,5 @@
 """A file of recorded messages: the interface, and files that are compressed or not closed."""
 
-from __future__ import annotations
-
 import os
 import shutil
 import tempfile
@@ -108,8 +106,10 @@ class Workspace:
             weakref.finalize(self, shutil.rmtree, self._folder, ignore_errors=True)
         # Checked before anything is written: a full disk would stop other programs.
         if n_bytes > self.free_bytes:
-            needed = f"needs {n_bytes / 1e6:.0f} MB in {self._folder}, which has"
-            raise SourceError(f"{path}: {needed} {self.free_bytes / 1e6:.0f} MB")
+            raise SourceError(
+                f"{path}: needs {n_bytes / 1e6:.0f} MB in {self._folder}, which has "
+                f"{self.free_bytes / 1e6:.0f} MB"
+            )
 
         name = Path(path).name.removesuffix(".zstd")
         copy = str(Path(self._folder) / f"{len(self._copies)}_{name}")

@@ -1,7 +1,5 @@
 """Export of a bag to an .mcap of Foxglove's schemas, for viewers."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from pathlib import Path

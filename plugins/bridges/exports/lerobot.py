@@ -2,8 +2,6 @@
 of tactile frames, the newest forces, and the strongest contacts.
 """
 
-from __future__ import annotations
-
 import contextlib
 import math
 import sys
@@ -13,7 +11,6 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-import numpy.typing as npt
 
 from sparseskin.messages import (
     Contacts,
@@ -25,7 +22,7 @@ from sparseskin.messages import (
 )
 from sparseskin.messages.topics import split_topic
 from sparseskin.nodes.files import OutputError, whole_folder
-from sparseskin.nodes.numerics.arrays import Floats
+from sparseskin.nodes.numerics.arrays import Floats, Indices
 from sparseskin.nodes.recorder.bag.format import BagError
 from sparseskin.nodes.recorder.bag.frames import (
     FRAME_SCHEMAS,
@@ -74,7 +71,7 @@ class _Stream:
         span_ns = float(self.times_ns[-1] - self.times_ns[0])
         return span_ns / max(1, len(self.times_ns) - 1)
 
-    def newest(self, times_ns: Times, back: int = 0) -> npt.NDArray[np.intp]:
+    def newest(self, times_ns: Times, back: int = 0) -> Indices:
         """Number of the frame `back` before the last one at or before each time, at least 0."""
         # Never a frame of later: a policy would see the future.
         newest_frames = np.searchsorted(self.times_ns, times_ns, side="right") - 1
@@ -140,8 +137,10 @@ class _Episode:
             )
         # Allowed, as people stop a robot before its recorder; but it may be the wrong recording.
         if end_ns + slack_ns < last_ns:
-            unused = f"its last {(last_ns - end_ns) / 1e9:.3f} s"
-            print(f"{self.path}: {unused} have no rows", file=sys.stderr)
+            print(
+                f"{self.path}: its last {(last_ns - end_ns) / 1e9:.3f} s have no rows",
+                file=sys.stderr,
+            )
 
     def features(self, rows_ns: Times | None) -> dict[str, Feature]:
         """Those of maps and contacts; of a dataset that has no other, with rows at these times,
@@ -286,8 +285,10 @@ def _check_shapes(
     expected = {key: feature.shape for key, feature in added[0].items()}
     shapes = {key: feature.shape for key, feature in added[-1].items()}
     if shapes != expected:
-        fault = f"its features differ from those of {path_of_first}: {shapes}, not {expected}"
-        raise BagError(f"{path}: {fault}")
+        raise BagError(
+            f"{path}: its features differ from those of {path_of_first}: {shapes}, not "
+            f"{expected}"
+        )
 
 
 def _check_options(numbers: dict[str, int | None], out: Path, into: str | None) -> None:
@@ -452,8 +453,10 @@ def _readme(episodes: Sequence[_Episode]) -> str:
         about_skin = "- | - | -"
         if skin is not None:
             about_skin = f"{skin.unit} | 0..{skin.f_max:g} | {skin.pitch_m or '-'}"
-        frames = f"{stream.key} | {stream.size} | {n_rows} x {n_cols}"
-        lines.append(f"| {frames} | {about_skin} | {stream.topic} |")
+        lines.append(
+            f"| {stream.key} | {stream.size} | {n_rows} x {n_cols} | {about_skin} | "
+            f"{stream.topic} |"
+        )
     if contacts:
         contact_texts = []
         for stream in contacts:

@@ -4,8 +4,6 @@ Source of the layout: huggingface/lerobot, `src/lerobot/datasets/`, codebase ver
 lerobot 0.4.4 and 0.6.2.
 """
 
-from __future__ import annotations
-
 import contextlib
 import itertools
 import json
@@ -19,7 +17,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from sparseskin.nodes.numerics.arrays import Floats
+from sparseskin.nodes.numerics.arrays import AnyArray, Floats
 from sparseskin.nodes.recorder.bag.format import BagError
 
 VERSION = "v3.0"
@@ -123,8 +121,9 @@ class Dataset:
             seconds = table["timestamp"].to_numpy()
             indices, counts = np.unique(episodes, return_counts=True)
             if not np.array_equal(indices, np.arange(self._info["total_episodes"])):
-                fault = "not of those that it states"
-                raise ValueError(f"rows of {len(indices)} episodes, {fault}")
+                raise ValueError(
+                    f"rows of {len(indices)} episodes, not of those that it states"
+                )
 
             # Rows may stand in any file; those of one episode are in order.
             order = np.argsort(episodes, kind="stable")
@@ -186,7 +185,7 @@ class Dataset:
             dirs_exist_ok=True,
         )
 
-    def _in_ns(self, seconds: npt.NDArray[Any]) -> Times:
+    def _in_ns(self, seconds: AnyArray) -> Times:
         """Timestamps, float32, in nanoseconds: multiples of 1 / fps where they are."""
         wide = seconds.astype(np.float64)
         # A float32 of some minutes is exact to some 30 us: rounding would shift frames.
@@ -307,8 +306,9 @@ class Dataset:
             yield
         except (*kinds, pa.ArrowException) as error:
             text = " ".join(f"{type(error).__name__}: {error}".split())[:200]
-            fault = f"no dataset of LeRobot that can be read: {text}"
-            raise BagError(f"{self.root}: {fault}") from error
+            raise BagError(
+                f"{self.root}: no dataset of LeRobot that can be read: {text}"
+            ) from error
 
 
 def make_dataset(root: Path, lengths: Sequence[int], fps: int) -> Dataset:
@@ -426,7 +426,7 @@ def _write_tasks(path: Path) -> None:
     pq.write_table(table.replace_schema_metadata({"pandas": text}), path)
 
 
-def _stats(values: npt.NDArray[Any]) -> Stats:
+def _stats(values: AnyArray) -> Stats:
     """Statistics over the rows (axis 0)."""
     wide = values.astype(np.float64)
     levels = np.quantile(values, list(QUANTILES.values()), axis=0)

@@ -1,14 +1,11 @@
 """Export of a bag to a bag of ROS 2."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from sparseskin.messages import (
     Contacts,
@@ -19,6 +16,7 @@ from sparseskin.messages import (
 )
 from sparseskin.messages.frames import values_alone
 from sparseskin.nodes.files import whole_folder
+from sparseskin.nodes.numerics.arrays import Floats
 from sparseskin.nodes.recorder.bag.format import BagError
 from sparseskin.nodes.recorder.bag.frames import (
     STATES,
@@ -91,7 +89,7 @@ def _messages(
             f"{path}: stamp {message.stamp_ns} is beyond what ROS 2 holds, 2**31 s"
         )
 
-    def image(array: npt.NDArray[np.float32]) -> tuple[str, bytes]:
+    def image(array: Floats) -> tuple[str, bytes]:
         return cdr.IMAGE, cdr.image(stamp, message.patch, array)
 
     def scalar(kind: str, value: object) -> tuple[str, bytes]:

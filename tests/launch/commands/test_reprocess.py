@@ -173,7 +173,7 @@ def test_executors_by_text(monkeypatch, tmp_path):
         "def broken(): raise RuntimeError('no cluster')\n"
     )
     monkeypatch.syspath_prepend(tmp_path)
-    for spec in ("serial", "thread:2", "process:1", "my_pool:make"):
+    for spec in ("thread:2", "process:1", "my_pool:make"):
         with make_executor(spec) as pool:
             assert pool.submit(abs, -3).result() == 3
     for spec, text in (

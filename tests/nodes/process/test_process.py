@@ -143,9 +143,7 @@ def test_figures_of_this_process_agree_with_the_system_calls():
     assert before.ru_utime + before.ru_stime - 2 * tick_s <= used_s
     assert used_s <= after.ru_utime + after.ru_stime + 2 * tick_s
     assert 0 < proc.resident_bytes(pid) <= 1024 * after.ru_maxrss * 1.01
-    assert 0 < proc.own_bytes(pid) <= 1.5 * proc.resident_bytes(pid)
     assert proc.age_s(pid) > 0
-    assert proc.host_busy_s() > 0
 
 
 @pytest.mark.parametrize(

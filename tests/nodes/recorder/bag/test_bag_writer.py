@@ -84,7 +84,7 @@ def test_it_is_an_mcap_that_describes_its_own_schemas(tmp_path):
 
 @pytest.mark.parametrize("name", SCHEMAS)
 def test_every_message_has_a_json_schema_that_names_its_fields(name):
-    schema = json_schema(SCHEMAS[name], 1)
+    schema = json_schema(SCHEMAS[name])
     assert schema["properties"]["schema"] == {"const": name}
     always = [
         key for key in schema["properties"] if key not in omitted_fields(SCHEMAS[name])
@@ -136,17 +136,12 @@ def test_a_path_that_cannot_be_written_is_named(tmp_path, name, text):
         BagWriter(tmp_path / name, {})
 
 
-@pytest.mark.parametrize(
-    ("change", "text"),
-    [({"schema": "taxel"}, "did you mean 'taxels'"), ({"stamp_ns": -1}, "outside")],
-)
-def test_what_cannot_be_recorded_is_refused_and_harms_nothing(tmp_path, change, text):
+def test_what_cannot_be_recorded_is_refused_and_harms_nothing(tmp_path):
     path = tmp_path / "a.mcap"
     with BagWriter(path, {}) as writer:
         good = record(writer, frame(0)[0])
-        message = BagMessage("/skin/taxels", "taxels", 2, 1, 1, b"x")
-        with pytest.raises(BagError, match=text):
-            writer.write(message._replace(**change))
+        with pytest.raises(BagError, match="did you mean 'taxels'"):
+            writer.write(BagMessage("/skin/taxel", "taxel", 1, 1, b"x"))
     with BagReader(path) as bag:
         assert [message.payload for message in bag.messages()] == [good]
 
@@ -298,7 +293,7 @@ def test_metadata_of_any_json_are_read_past(forged, tmp_path, which, text):
     [
         *({"n_messages": n} for n in (-5, 2**70, True, None)),
         *({"first_ns": 5, "last_ns": 4}, {"min_lag_ns": 2**70}, {"schema": "truth"}),
-        *({"version": 99}, {"more": 1}),
+        {"more": 1},
     ],
 )
 def test_counts_that_cannot_be_are_counted_anew(forged, changes):
