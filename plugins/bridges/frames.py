@@ -226,8 +226,9 @@ class MessageReader:
         stamp = ""
         stamp_at = 0
         if self._is_header_time and self._begins_with_header:
-            # ROS 1 counts messages before the stamp, ROS 2 states the order of bytes.
-            stamp = "<III"
+            # ROS 1 counts messages before the stamp, ROS 2 states the order of bytes. Seconds are
+            # signed, as rosbags reads those of both.
+            stamp = "<IiI"
             if self._is_cdr:
                 stamp = f"{ORDERS[data[:2]]}iI"
                 stamp_at = ENCAPSULATION_BYTES
