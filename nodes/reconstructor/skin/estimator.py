@@ -54,7 +54,7 @@ class SkinEstimator:
        filter adds that counts. The variance is L^(1-h) C^h, with C of both together. With the
        measurements, these are the target of each row, of variance v.
     6. Steps k = 1, 2 ... from z = x_p: r = target - W z; tau = mean r^2, less the mean v, of the
-       rows read; D = tau / (tau + v); s^2 = tau (1 - mean D) / mean D;
+       rows read; D = tau / (tau + v), its mean over all rows; s^2 = tau (1 - mean D) / mean D;
        u = z + W^T (D r) / mean D; x, alpha = `Gates` of u / s, or `shrink` of it in the first steps
        of a frame that has few; z moves by min(1, 8 / k) / 2 of the way to
        (x - alpha u) / (1 - alpha).
@@ -80,10 +80,11 @@ class SkinEstimator:
     Attributes
     ----------
     noise_sd : float
-        Least standard deviation of the noise of a taxel that the skin states; 0: none. The caller
-        sets it.
+        Least standard deviation of the noise of a taxel that the skin states, by which the noise
+        level is bounded; 0: none. The caller sets it.
     noise_model : NoiseModel or None
-        Noise of the readings; None: not stated. The caller sets it.
+        Noise of a reading by its force, by which the published error is judged; None: not stated,
+        the noise level counts. The caller sets it.
     times : StepTimes
         What the steps of a frame may take, where it chooses their number. The caller sets it.
     steps : Steps
@@ -150,8 +151,8 @@ class SkinEstimator:
         self._subset = subset
         self._frame = frame
 
-        noise = max(last_noise, frame.floor)
-        motion = motion_of(sums, noise, self.error**2, self._tuning)
+        noise_before = max(last_noise, frame.floor)
+        motion = motion_of(sums, noise_before, self.error**2, self._tuning)
         innovation = self.vectors.predict(motion)
         self._innovation2 = innovation.mean_square
         noise = self._follow_noise(innovation, frame)
@@ -163,7 +164,8 @@ class SkinEstimator:
             self._row_variances(innovation, noise, error2, frame)
         )
 
-        self._noise = self.noise_level.bounded(noise)
+        # The error of the estimate is judged by no more noise than the skin has shown.
+        self._bounded_noise = self.noise_level.bounded(noise)
         # Those of the prediction, should the frame have no step.
         self.steps = Steps(expected2=error2, residual2=innovation.mean_square)
 
@@ -187,8 +189,8 @@ class SkinEstimator:
         tuning = self._tuning
         # A measurement that repeats exactly is not another one, but where the forces have changed
         # since, and have come back.
-        explained = noise / (noise + self.prediction_error.significant)
-        noise = (1 + frame.repeated * REPEATED * explained**2) * noise
+        noise_share = noise / (noise + self.prediction_error.significant)
+        read_noise = (1 + frame.repeated * REPEATED * noise_share**2) * noise
 
         # Of rows that are never read, the innovation shows nothing: the last estimate's own error.
         prediction2 = max(error2, self.error**2, frame.floor)
@@ -197,13 +199,13 @@ class SkinEstimator:
         change = error2
         if 2 * innovation.n_known > frame.n_read:
             n_known = innovation.n_known
-            expected = noise + innovation.filter_variances / n_known
+            expected = read_noise + innovation.filter_variances / n_known
             change = tuning.surplus(
                 innovation.filter_squares / n_known, expected, frame.n_read
             )
 
-        prediction = min(tuning.of_dependent(prediction2, noise), UNKNOWN)
-        return RowVariances(noise, prediction, change, frame.floor)
+        prediction = min(tuning.of_dependent(prediction2, read_noise), UNKNOWN)
+        return RowVariances(read_noise, prediction, change, frame.floor)
 
     def finish(self, n: int, n_formula: int) -> Floats:
         """Do `n_formula` steps by the formula and n by the weights, if any, or as many of these as
@@ -245,7 +247,7 @@ class SkinEstimator:
     def _settle(self, steps: Steps, frame: FrameNumbers) -> Fit:
         """Make the estimate of the steps and the prediction, by the error of each."""
         last_error2 = self.error**2
-        error2 = estimate_error2(steps, self._noise, frame.n_read)
+        error2 = estimate_error2(steps, self._bounded_noise, frame.n_read)
         prediction2 = max(self.prediction_error.variance, last_error2, frame.floor)
         part = error2 / (error2 + self._tuning.blend * prediction2)
 
@@ -253,13 +255,13 @@ class SkinEstimator:
             part=part,
             bias=self.bias.value,
             noise_sd=math.sqrt(self.noise_level.least),
-            least_force=INVISIBLE * math.sqrt(self._noise),
+            least_force=INVISIBLE * math.sqrt(self._bounded_noise),
         )
         settled = self.vectors.settle(blend, self._subset.ones)
         self.noise_level.learn(settled, frame.repeated)
 
         # What the noise of measurements left in the last estimate, the same measurements leave.
-        inherited2 = frame.repeated * min(last_error2, self._noise)
+        inherited2 = frame.repeated * min(last_error2, self._bounded_noise)
         self.error = math.sqrt(max((1 - part) * error2, inherited2))
         known = self._filtered.n_known / self._rows.n
         return Fit(
@@ -281,7 +283,9 @@ class SkinEstimator:
         self.trust.follow_silence(frame.silent)
 
         level = self.noise_level
-        of_skin = self.trust.noise_of_skin(self._noise, level, frame, self.noise_sd)
+        of_skin = self.trust.noise_of_skin(
+            self._bounded_noise, level, frame, self.noise_sd
+        )
         excess = self.trust.excess(noise, frame.n_read, self.bias.is_known)
         self.trust.judge(fit.settled, error2, of_skin, excess, self.bias.is_known)
 

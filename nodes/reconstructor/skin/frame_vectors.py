@@ -52,6 +52,15 @@ class Step(NamedTuple):
 class FrameVectors(Vectors):
     """The readable form of `Vectors`.
 
+    What a method of a frame hands on to those after it:
+
+    - `begin`: values of the rows read; of each the part that is certain, and the variance that its
+      doubt adds; innovation and prediction of the last frame of these rows; slopes of x;
+    - `predict`: the prediction, in taxels and rows; of the rows read the variances that their
+      filters expect, those that are known, and what the values exceed the means by;
+    - `filter_rows`: targets of all rows, their variances, and what the values exceed them by;
+    - `steps`: the mean of the estimates, and what each row read added to its own value in it.
+
     Parameters
     ----------
     rows, tiles, gates
@@ -282,12 +291,14 @@ class FrameVectors(Vectors):
         own = []
         expected2 = []
         residual2 = []
+        # The first step may raise the numbers of the plan: more than this only within its time.
         least = plan.n_formula + plan.n
         k = 0
         n_busy = 0
         n_tiles = 0
         while k < plan.n_formula + plan.n:
-            # Forces of a sudden contact stand out step by step: what it takes is counted.
+            # Forces of a sudden contact stand out step by step: what it takes is counted, and the
+            # next step is to take as long as the last one by the weights would.
             spent = (k + 1) * plan.step_tiles + n_tiles + n_busy
             if k >= least and spent > plan.frame_tiles:
                 break

@@ -20,7 +20,7 @@ LEAST_PEERS = 16
 """Least number of rows of a block that are compared. Chosen: with 13, as blocks of 256 have at
 N/16, 42 measurements of 240 frames of lift_box_40 were faulty."""
 SAME = 1e-6
-"""Largest change of measurements, in the largest one, at which half of them counts as repeated:
+"""Largest change of measurements, as a part of the largest one, at which half counts as repeated:
 above the resolution of float32, below that of any converter."""
 CLEAR_CHANGE = 1e3
 """The same in `SAME`, beyond which a larger change does not count: its power stays finite."""
@@ -47,7 +47,7 @@ class FrameNumbers(NamedTuple):
     """Numbers of the measurements of a frame."""
 
     n_read: int  # rows read
-    read: float  # share of them in the number of taxels
+    read: float  # their number, as a part of that of all rows
     floor: float  # least variance: the resolution of the measurements
     repeated: float  # part of the measurements that repeats the last ones of this subset, 0 to 1
     silent: float

@@ -13,14 +13,15 @@ from .tiles import Tiles
 
 STANDS_OUT = (3.8, 3.3, 2.6, 2.0)
 """Deviations by which a taxel, a square of 3 x 3, one of 6 x 6, and the window stand out. Derived:
-5 % of the windows of normal noise exceed them, four of `tiles.REFERENCE_WINDOWS`; what the gates
-let pass of others is below 0.005 noise variances a taxel."""
+5 % of the windows of normal noise exceed them, four of `tiles.REFERENCE_WINDOWS`; of the other
+windows the gates would let pass less than 0.005 noise variances a taxel."""
 CLEARLY = 1.2
 """Factor of `STANDS_OUT` at which a window counts in full: a switch in place of a ramp would
 amplify rounding. Chosen."""
 N_SUMS = 22
 """Numbers of a window: its largest taxel, and the sums of 16 squares, of 4, and of all."""
 _N_OF_SIZES = (1, 16, 4, 1)
+"""How many of them have each of the sizes of `STANDS_OUT`."""
 
 
 class Deviations(NamedTuple):
@@ -42,8 +43,9 @@ def standing_out(windows: Floats, scales: Floats | None = None) -> Floats:
     """Part of a window of unit noise that counts, float32 (t,): 0 where nothing stands out.
 
     By how far its largest taxel, or one of its sums, exceeds its limit: from there to `CLEARLY`
-    times as much it grows to 1. `scales` are the inverse limits, as of `scales_of`, float32
-    (t, N_SUMS); by default those of windows with a taxel in each cell, of strictness 1.
+    times as much it grows to 1. `scales`, float32 (t, N_SUMS), are the inverse limits of each
+    window: rows of `scales_of` by the kinds of the windows. By default they are those of windows
+    with a taxel in each cell, of strictness 1.
     """
     if scales is None:
         scales = _scales(_full(), 1.0)
@@ -70,8 +72,9 @@ def _scales(deviations: Doubles, strictness: float) -> Floats:
 def deviations_of(tiles: Tiles) -> Deviations:
     """Deviations of the sums of the windows of a skin.
 
-    Beyond the skin there is no noise. A taxel that several cells read counts in each of them as
-    often: its copies are not independent.
+    Beyond the skin there is no noise. A taxel that c cells read adds c^2 to the variance of a sum
+    of all of them, since its copies are not independent. Where some of these cells lie outside of
+    the square, it adds less: then this is an upper bound.
     """
     n = len(tiles.cells)
     n_cells = np.bincount(tiles.canvas.reshape(-1), minlength=n + 1)

@@ -26,11 +26,13 @@ class SkinTuning:
     residual_power: float = 2.0
     rise_power: float = 4.0
     fully_averaged: int = 3
-    #: Least error variance of z, in mean squared residuals.
+    #: Least error variance of z, as a multiple of the mean squared residual.
     least_tau: float = 0.05
-    #: Largest expected error of the denoiser, in noise variances: 1 / (1 - alpha) stays bounded.
+    #: Largest squared error expected of the denoiser, as a multiple of the noise variance:
+    #: 1 / (1 - alpha) stays bounded.
     most_alpha: float = 0.9
-    #: Reduction of the squared innovation, in noise variances, at which half of a motion is used.
+    #: Reduction of the squared innovation, as a multiple of the noise variance, at which half of a
+    #: motion is used.
     #: Derived: three free parameters explain 3 of noise, and 12 in one frame of a hundred.
     motion: float = 12.0
     #: Least number of measurements of a frame that show a motion, which has three parameters.
@@ -62,7 +64,8 @@ class SkinTuning:
     #: regressions find; 0 switches the filters, or their motion, off.
     most_recalled: float = 1.0
     most_confirmed: float = 1.0
-    #: Squared change of a measurement, in the mean of its block, at which half of it is doubted.
+    #: Squared change of a measurement, as a multiple of the mean of its block, at which half of it
+    #: is doubted.
     #: Derived: signs of rows are random: 8 deviations occur in one of 10^15 measurements.
     outlying: float = 64.0
     #: Weight of the prediction in the estimate, E / (E + b P) by the error variances of both, whose
@@ -85,15 +88,16 @@ class SkinTuning:
     bias_known: int = 8
     #: Growth per frame of the least noise variance so far, which bounds the bias.
     bias_forgotten: float = 1.002
-    #: Mean squared error of an estimate, in what the gates expect it to be. Fitted on presses on
-    #: 8 x 8 to 48 x 64 taxels, N/2 to N/8.
+    #: Mean squared error of an estimate, as a multiple of what the gates expect. Fitted on presses
+    #: on 8 x 8 to 48 x 64 taxels, N/2 to N/8.
     optimism: float = 2.0
     #: Rate per frame of the part of the squared distance from the readings that is error of forces.
     share_rate: float = 0.5
     #: Belief in a stated squared error, beside that in rows which confirm it: the inverse of its
     #: relative variance. Chosen on drawn worlds, presses and scenes.
     belief: float = 15.0
-    #: Largest noise variance, in the least one so far: of measurements; and of a pressed taxel.
+    #: Largest noise variance, as a multiple of the least one so far: of measurements; and of a
+    #: pressed taxel.
     #: Derived: the second is 58 by the noise of the paper, clipped at 0.
     louder: float = 4.0
     pressed_noise: float = 60.0
@@ -105,7 +109,8 @@ class SkinTuning:
     #: alone exceeds 6, of 86 measurements and more, in one frame of a million.
     unexplained: float = 1.0
     unresolved: float = 6.0
-    #: Mean squared force, in noise variances, up to which nothing touches the skin.
+    #: Mean squared force, as a multiple of the noise variance, up to which nothing touches the
+    #: skin.
     untouched: float = 0.05
     #: Largest error that is trusted, as a part of the forces, both RMS.
     trusted: float = 0.25

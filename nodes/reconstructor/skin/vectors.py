@@ -16,13 +16,13 @@ UNKNOWN = 1e34
 """Variance of a row that was not read yet, beyond that of any measurement."""
 
 CLEAR_RATIO = 1e4
-"""The same in `SkinTuning.outlying`, beyond which a larger change does not count: its power stays
-finite."""
+"""Squared change of a measurement, as a multiple of the one of which half is doubted, beyond which
+a larger change does not count: its power stays finite."""
 CERTAIN = 1e-6
 """Least part of a measurement that is not doubted: its variance stays finite."""
 
 NEGLIGIBLE = 1e-3
-"""Length of a change, in that of an innovation, which does not show its direction."""
+"""Length of a correction, as a multiple of that of the innovation, which shows no direction."""
 
 
 class Innovation(NamedTuple):
@@ -97,7 +97,7 @@ class StepPlan(NamedTuple):
     n_formula: int  # steps by the formula, which come first
     n: int  # steps by the weights; the least where they are chosen
     first_shift: int  # number of the shift of the first step
-    frame_tiles: int  # time of the steps of a frame, in that of a tile in a step
+    frame_tiles: int  # time of the steps of a frame; 1 is that of a tile in a step
     step_tiles: int  # time of a step without any tile, in the same unit
     most: int  # largest number of steps that is chosen
     target_variance: float  # as of `Filtered`
@@ -161,7 +161,8 @@ class Settled(NamedTuple):
 class Vectors(ABC):
     """The work on vectors of `SkinEstimator`, whose docstring states the method.
 
-    A frame calls `begin`, `predict`, `filter_rows`, `steps` (or none) and `settle`, in this order.
+    A frame calls `begin`, `predict`, `filter_rows`, `steps` (or none), `fade` and `settle`, in this
+    order.
     All vectors are float32.
 
     Attributes
@@ -223,7 +224,9 @@ class Vectors(ABC):
 
     @abstractmethod
     def fade(self, part: float) -> None:
-        """Subtract a part of prediction and estimate of the frame: 1 where nothing presses."""
+        """Subtract a part of prediction and estimate of the frame: 1 where nothing presses. What
+        was measured, as the innovation, stays: it shows how far the prediction was off.
+        """
 
     @abstractmethod
     def settle(self, blend: Blend, ones: Floats) -> Settled:
