@@ -602,8 +602,10 @@ public:
             if (!waits(timeout_ms)) return Status::timeout;
             if (!receive(message)) continue;
             if (newest_) skip_to_newest(message);
+            count(message);
             return Status::message;
         }
+        count_to_end();
         return Status::ended;
     }
 
@@ -629,10 +631,22 @@ private:
     void skip_to_newest(Message& message) {
         Message newer;
         for (int n_read = 0; n_read < detail::max_waiting && !ended_ && waits(0); ++n_read) {
-            if (!receive(newer)) continue;
-            message = std::move(newer);
-            ++n_missed_;
+            if (receive(newer)) message = std::move(newer);
         }
+    }
+
+    void count(const Message& message) {
+        if (message.run_id == run_id_ && message.seq > expected_) {
+            n_missed_ += message.seq - expected_;
+        }
+        run_id_ = message.run_id;
+        expected_ = message.seq + 1;
+    }
+
+    void count_to_end() {
+        if (expected_ < 0 || n_sent_ <= expected_) return;
+        n_missed_ += n_sent_ - expected_;
+        expected_ = n_sent_;
     }
 
     bool receive(Message& message) {
@@ -655,18 +669,10 @@ private:
         // ZeroMQ subscribes by prefix.
         if (size <= topic_.size() || data[topic_.size()] != 0) return false;
         const detail::Value body = detail::read_map(data, size, topic_.size());
-        const std::int64_t n_sent = detail::end_of_stream(body);
-        if (n_sent >= 0) {
-            ended_ = true;
-            if (expected_ >= 0 && n_sent > expected_) n_missed_ += n_sent - expected_;
-            return false;
-        }
+        n_sent_ = detail::end_of_stream(body);
+        ended_ = n_sent_ >= 0;
+        if (ended_) return false;
         detail::convert(body, message);
-        if (message.run_id == run_id_ && message.seq > expected_) {
-            n_missed_ += message.seq - expected_;
-        }
-        run_id_ = message.run_id;
-        expected_ = message.seq + 1;
         return true;
     }
 
@@ -682,6 +688,7 @@ private:
     std::string run_id_;
     std::string last_error_;
     std::int64_t expected_ = -1;
+    std::int64_t n_sent_ = -1;
     std::int64_t n_missed_ = 0;
     std::int64_t n_unreadable_ = 0;
     bool ended_ = false;

@@ -22,7 +22,6 @@ from sparseskin.nodes.clock import SystemClock
 from sparseskin.nodes.errors import SparseskinError
 from sparseskin.nodes.network.keys import read_key_pair
 from sparseskin.nodes.network.sockets import (
-    NEWEST_ALONE,
     QUEUE_FRAMES,
     Reader,
     make_context,
@@ -99,7 +98,7 @@ class TopicStream:
     wire form, which are left out, `interrupted` is True once SIGINT or SIGTERM came.
 
     Messages may wait `patience_s` seconds to be read together; where more than `QUEUE_FRAMES` are
-    sent meanwhile, those beyond are lost. Of one topic, `newest` keeps the newest message alone.
+    sent meanwhile, those beyond are lost.
     Raises KeyFileError if the graph asks for a key that this user may not read.
     """
 
@@ -108,7 +107,6 @@ class TopicStream:
         graph: RunningGraph,
         *topics: str,
         patience_s: float = 0.0,
-        newest: bool = False,
     ) -> None:
         self._graph = graph
         self._patience_s = patience_s
@@ -119,9 +117,7 @@ class TopicStream:
             keys = read_key_pair(Path(graph.key_file))
         # What waits in this process is older than what waits at the writer.
         ahead = QUEUE_FRAMES
-        if newest:
-            ahead = NEWEST_ALONE
-        elif patience_s:
+        if patience_s:
             ahead = READ_AHEAD
         self._reader = Reader(
             self._context,

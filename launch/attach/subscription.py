@@ -10,10 +10,13 @@ from sparseskin.launch.run.running import choose_graph
 from sparseskin.messages import Message, MessageError, decode
 from sparseskin.messages.ranges import is_real
 from sparseskin.nodes.errors import SettingsError
+from sparseskin.nodes.network.sockets import QUEUE_FRAMES
 
 from .client import find_topic
-from .stream import POLL_MS, Arrival, Losses, TopicStream
+from .stream import DRAIN_MS, POLL_MS, Arrival, Losses, TopicStream
 
+FULL_QUEUES = 4
+"""Most queues of messages that are skipped at once for the newest one: a fast topic has no end."""
 MAX_TIMEOUT_S = 1e6
 """Longest `timeout_s`, seconds; chosen: beyond any wait that is meant."""
 
@@ -72,7 +75,7 @@ class Subscription:
         self._timeout_s = math.inf
         if timeout_s is not None:
             self._timeout_s = float(timeout_s)
-        self._stream = TopicStream(running, self.topic, newest=self._newest)
+        self._stream = TopicStream(running, self.topic)
         self._losses = Losses()
         self._malformed = 0
         self._arrivals: deque[Arrival] = deque()
@@ -199,15 +202,31 @@ class Subscription:
         """Read what has come, and end where no more will."""
         # Looked at first: what the graph sent before its end is there then.
         has_ended = self._stream.graph_has_ended()
-        arrivals = self._stream.read()
-        if self._newest:
-            # The end of the stream replaces no message.
-            n_ends = sum(arrival.ends for arrival in arrivals)
-            n_skipped = max(0, len(arrivals) - n_ends - 1)
-            arrivals = arrivals[n_skipped:]
+        arrivals = self._receive_newest() if self._newest else self._stream.read()
         self._arrivals.extend(arrivals)
         if has_ended and not arrivals:
             self.close()
+
+    def _receive_newest(self) -> list[Arrival]:
+        """Read what has come; return the newest message, and the end of the stream."""
+        # ZeroMQ's CONFLATE is not used: it loses the last message of a stream that pauses, if that
+        # comes while the one before is taken (libzmq 4.3.5).
+        newest: list[Arrival] = []
+        for _ in range(FULL_QUEUES):
+            arrivals = self._stream.read()
+            newest = _newest_of([*newest, *arrivals])
+            # Of a full queue the others wait at the writer, and come now.
+            if len(arrivals) < QUEUE_FRAMES:
+                break
+            self._stream.wait(DRAIN_MS / 1e3)
+        return newest
+
+
+def _newest_of(arrivals: list[Arrival]) -> list[Arrival]:
+    """The last message, and the end of the stream, which replaces no message."""
+    n_ends = sum(arrival.ends for arrival in arrivals)
+    n_older = max(0, len(arrivals) - n_ends - 1)
+    return arrivals[n_older:]
 
 
 def subscribe(

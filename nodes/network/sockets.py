@@ -54,8 +54,6 @@ MAX_EVENTS = 1000
 """Largest number of subscriptions, or of events of connections, between two looks at messages."""
 QUEUE_FRAMES = 1000
 """High-water mark of each queue: one second at 1 kHz before messages are dropped and counted."""
-NEWEST_ALONE = 0
-"""A `read_ahead` with which the newest message replaces all that wait."""
 HANDSHAKE_MS = 2000
 """Longest handshake; ZeroMQ's default of 30 s would hide a wrong key."""
 OVER_NETWORK_MS = {
@@ -326,8 +324,7 @@ class Reader:
 
     Writers know it by its name, and wait for it as they start, if it is `present`; none that
     follows its readers waits for one that `observes`. `keys` are those of this host, for writers
-    that need them. Of `read_ahead` messages of a writer, further ones wait at the writer; with
-    `NEWEST_ALONE` none waits: such a reader has one topic, and is not present.
+    that need them. Beyond `read_ahead` messages of a writer, further ones wait at the writer.
     """
 
     def __init__(
@@ -343,11 +340,7 @@ class Reader:
     ) -> None:
         self.socket: Socket = context.socket(zmq.SUB)
         self.socket.setsockopt(zmq.MAXMSGSIZE, MAX_MESSAGE_BYTES)
-        if read_ahead == NEWEST_ALONE:
-            # Conflation keeps one subscription of several, too.
-            self.socket.setsockopt(zmq.CONFLATE, 1)
-        else:
-            self.socket.setsockopt(zmq.RCVHWM, read_ahead)
+        self.socket.setsockopt(zmq.RCVHWM, read_ahead)
         if keys is not None:
             self.socket.setsockopt(zmq.CURVE_PUBLICKEY, keys.public.encode())
             self.socket.setsockopt(zmq.CURVE_SECRETKEY, keys.secret.encode())

@@ -3,7 +3,6 @@
 import asyncio
 import json
 import math
-import os
 import re
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
@@ -18,36 +17,11 @@ from publishing import TOPIC, Publisher
 
 import sparseskin
 from sparseskin.messages import Contacts, Reconstruction, Taxels
-from sparseskin.nodes.network.sockets import NEWEST_ALONE, QUEUE_FRAMES, Reader, Writer
+from sparseskin.nodes.network.sockets import QUEUE_FRAMES
 
 PAGE = Path(__file__).parents[3] / "docs" / "howto" / "control_loop.md"
 bursts = st.lists(st.integers(1, QUEUE_FRAMES // 4), min_size=1, max_size=4)
 own_publisher = settings(suppress_health_check=[HealthCheck.function_scoped_fixture])
-
-
-@own_publisher
-@given(sizes=bursts)
-def test_a_reader_of_the_newest_alone_has_the_last_of_each_burst_and_no_other(
-    context, sizes
-):
-    endpoint = f"inproc://{os.urandom(8).hex()}"  # what is sent there has come
-    writer = Writer(context, endpoint)
-    options = {"present": False, "read_ahead": NEWEST_ALONE}
-    reader = Reader(context, "observer", [endpoint], [TOPIC], **options)
-    assert writer.socket.poll(60_000)
-    writer.serve_subscriptions()
-    n_sent = 0
-    forces = np.zeros((2, 2), np.float32)
-    for size in sizes:
-        for _ in range(size):
-            frame = Taxels(stamp_ns=n_sent, patch="skin", forces=forces)
-            writer.send(frame.published("0" * 16, n_sent))
-            n_sent += 1
-        topic, payload = reader.receive()
-        assert sparseskin.messages.decode(topic, payload).seq == n_sent - 1
-        assert reader.receive() is None
-    reader.socket.close()
-    writer.socket.close()
 
 
 @own_publisher
