@@ -29,7 +29,7 @@ OUTLIER = 5.0
 TOUCHED = 4.0
 """Standard deviations of a mean above which a taxel is pressed; chosen."""
 NOISY = 8.0
-"""Noise of a taxel in that of the median taxel above which it is faulty; chosen."""
+"""Noise above which a taxel is faulty, as a multiple of that of the median taxel; chosen."""
 TOUCHED_SHARE = 0.01
 """Share of noisy taxels above which the skin was rather touched; chosen."""
 OUTLIERS = 0.01
@@ -37,11 +37,16 @@ OUTLIERS = 0.01
 MOVED = 0.2
 """Part of a load that its steady readings may lack; chosen."""
 DEAD = 0.1
-"""Response to an even load in that of the median taxel below which a taxel is dead; chosen."""
+"""Response to an even load below which a taxel is dead, as a multiple of that of the median taxel;
+chosen."""
 KEPT_SIGMAS = 4.0
 """Standard deviations of noise that a lower end of the range keeps; chosen: all but 3e-5."""
 HEADROOM = 1.25
-"""Range of a taxel in the largest force of a press, where the range is not stated; chosen."""
+"""Range of a taxel as a multiple of the largest force of a press, where the range is not stated;
+chosen."""
+ONE_GAIN_ERROR = 0.1
+"""Relative error of a total by one gain of all taxels that is reported: weights and noise explain
+less. Chosen."""
 
 
 class CalibrationError(SparseskinError):
@@ -99,7 +104,7 @@ class PressResult:
     label: str
     force: float  # stated total, newtons
     measured: float  # the same; of an even load, the mean of its working taxels times its cells
-    #: Standard deviation of the forces of the taxels under an even load, in their mean.
+    #: Standard deviation of the forces of the taxels under an even load, over their mean.
     spread: float | None = None
     spread_before: float | None = None  # the same of raw readings above the baseline
 
@@ -264,7 +269,7 @@ def _at_rest(
 ) -> _Rest:
     """Baseline and noise of the taxels, and those whose readings show that they are faulty."""
     baseline, noise, unsteady = steady(untouched)
-    stuck = exists & _stuck(untouched, presses)
+    stuck = _stuck(untouched, presses, exists)
     works = exists & ~stuck
     # Without noise at all, as of a coarse converter, no taxel is noisier than others.
     typical_noise = 0.0
@@ -363,8 +368,8 @@ def _rise(press: Press, at_rest: _Rest) -> Doubles:
     steady_sum = float(rise[works].sum())
 
     noise_of_sum = math.sqrt(float(np.square(at_rest.noise[works]).sum()))
-    chance = TOUCHED * noise_of_sum
-    if abs(frame_sum - steady_sum) > MOVED * abs(frame_sum) + chance:
+    noise_bound = TOUCHED * noise_of_sum
+    if abs(frame_sum - steady_sum) > MOVED * abs(frame_sum) + noise_bound:
         raise CalibrationError(
             f"{press.label}: the load moves: its frames add up to {frame_sum:.4g}, the "
             f"readings that stay to {steady_sum:.4g}; let it stand still"
@@ -372,13 +377,14 @@ def _rise(press: Press, at_rest: _Rest) -> Doubles:
     return rise
 
 
-def _stuck(untouched: AnyArray, presses: Sequence[Press]) -> Mask:
-    """Taxels whose reading never changes, where that of most does."""
-    still = np.ones(untouched.shape[1:], dtype=np.bool_)
+def _stuck(untouched: AnyArray, presses: Sequence[Press], exists: Mask) -> Mask:
+    """Taxels whose reading never changes, where that of most does, bool (rows, cols)."""
+    # A cell without a taxel often reads a constant: it is neither stuck, nor counted below.
+    still = exists.copy()
     for frames in (untouched, *(press.frames for press in presses)):
         still &= (frames == untouched[0]).all(axis=0)
     # A skin that is silent as a whole is no set of stuck taxels.
-    if still.mean() >= 0.5:
+    if 2 * np.count_nonzero(still) >= np.count_nonzero(exists):
         return np.zeros_like(still)
     return still
 
@@ -411,7 +417,7 @@ def _even_fit(
 
     # Without a curve the target is the force itself, else the reading of the median taxel.
     is_straight = curve == "linear" or len(forces) < 2
-    scale = forces[0] / median_rise[0]
+    scale = forces[0] / median_rise[0]  # newtons per raw reading, at the least load
     target = forces if is_straight else scale * median_rise
     gains = _least_squares_gains(rise, target.reshape(-1, 1, 1), works, remarks)
     if is_straight:
@@ -503,8 +509,7 @@ def _common_gain(
     # Least squares through 0.
     gain = float(total @ force / (total @ total))
     error = np.abs(gain * total / force - 1)
-    # By more than weights and noise explain.
-    if error.max() > 0.1:
+    if error.max() > ONE_GAIN_ERROR:
         worst = presses[int(error.argmax())].label
         remarks.append(
             f"{worst}: {100 * error.max():.0f} % off one gain for all: taxels or loads "

@@ -170,6 +170,26 @@ def test_stuck_noisy_and_dead_taxels_are_masked():
     assert found.presses[0].measured == pytest.approx(N, rel=1e-3)
 
 
+@given(st.integers(0, 2**32 - 1), st.integers(0, N - 8))
+def test_cells_without_a_taxel_hide_no_stuck_taxel(seed, n_masked):
+    rng = np.random.default_rng(seed)
+    cells = rng.permutation(N)
+    stuck = cells[:3]
+    mask = np.ones(SHAPE, np.bool_)
+    mask.reshape(-1)[cells[3 : 3 + n_masked]] = False
+
+    # Wires without a taxel read a constant.
+    readings = frames(linear(0), sigma=1.0)
+    readings[:, ~mask] = 0.0
+    readings.reshape(len(readings), N)[:, stuck] = 77.0
+    found = fit("p", readings, f_max=2.0, mask=mask)
+
+    works = mask.copy()
+    works.reshape(-1)[stuck] = False
+    assert found.stuck == len(stuck)
+    np.testing.assert_array_equal(found.skin.mask, works)
+
+
 @pytest.mark.parametrize(("n_noisy", "is_remarked"), [(1, False), (2, True), (4, True)])
 def test_more_than_1_percent_of_noisy_taxels_were_touched(n_noisy, is_remarked):
     noise = np.random.default_rng(5).normal(0, 1.0, (50, 10, 15))
