@@ -29,6 +29,8 @@ GRACE_S = 2.0
 """Time from one request to end to the next, more forceful one, seconds."""
 POLL_S = 0.1
 """Longest wait for events, seconds: restarts and hangs are noticed within it."""
+LAST_READS = 5
+"""Reads of a node whose pipes are closed next. Each reads a part; a pipe holds fewer than these."""
 ANY_PORT = "tcp://127.0.0.1:*"
 
 EXIT_FAILED = 1
@@ -41,6 +43,7 @@ class Fleet:
     """The node processes of a graph and their restarts, by name; parameters as of `Launcher`, and
     of its terminal.
 
+    `offset_ns`: time of day minus monotonic time as the graph started, the clock of all its nodes.
     `exit_code` is not 0 once a node has failed that the graph needs, `late_code` once one has that
     it can do without, or has raised an error and gone on. `left` is what nodes that have died left
     behind, in words, by name. While `supervised`, a node that fails is restarted as its policy
@@ -69,7 +72,8 @@ class Fleet:
         self._to_pause: set[str] = set()
         self._bound: dict[str, str] = {}
         self._page_token = secrets.token_urlsafe(24)
-        # By name, and for good: a node that is started again is another `NodeProcess`.
+        # By name: a node that is started again is another `NodeProcess`. Nothing is ever deleted,
+        # as the number of a node is its position here.
         self.restarts = {}
         for name, spec in launch.nodes.items():
             self.restarts[name] = Restarts(spec.restart)
@@ -323,8 +327,7 @@ class Fleet:
 
     def _close(self, node: NodeProcess) -> None:
         """Read what is left of a node, and close its pipes."""
-        # More parts than a socket holds, then the end.
-        for _ in range(5):
+        for _ in range(LAST_READS):
             self._listen(node)
         # A child of the node's may still hold the other end: no pipe need have ended.
         if not node.closed:
@@ -393,6 +396,9 @@ class Fleet:
             self._take(node, event)
 
     def _take(self, node: NodeProcess, event: Document) -> None:
+        """Handle an event. Its keys are those of `Control.emit` where the node sends it, in
+        `nodes.process.runner` and `nodes.process.run_node`.
+        """
         for line in event.get("trace", "").splitlines():
             self._record(f"[{node.name}] {line}")
         match event["event"]:
@@ -461,23 +467,28 @@ class Fleet:
             if unfinished:
                 self.left.setdefault(node.name, []).append(unfinished)
 
-        # In a report each failure stands beside the name of the node.
-        why = text.removeprefix(f"[{failed.name}] ").removeprefix(f"{_names(nodes)} ")
-        line = f"[launch] {text}"
-        if text.startswith("["):
-            line = text
-            companions = [node for node in nodes if node is not failed]
-            if companions:
-                line += f" (of the same process: {_names(companions)})"
-
+        line = _death_line(nodes, failed, text)
         if self.supervised and code != EXIT_USAGE:
-            # The nodes of a process have one policy, and fail together.
-            for node in nodes:
-                given_up = self.restarts[node.name].failed(awake_s(), why)
-            if given_up is None:
+            # In a report each failure stands beside the name of the node.
+            why = text.removeprefix(f"[{failed.name}] ")
+            why = why.removeprefix(f"{_names(nodes)} ")
+            refusal = self._schedule_restart(nodes, why)
+            if refusal is None:
                 self._log(line)
                 return
-            line += given_up
+            line += refusal
+        self._end_dead(nodes, code, line)
+
+    def _schedule_restart(self, nodes: Sequence[NodeProcess], why: str) -> str | None:
+        """Count a failure of all nodes of a process, and set the time of their restart; where there
+        is none, return the reason, as of `Restarts.failed`.
+        """
+        refusals = [self.restarts[node.name].failed(awake_s(), why) for node in nodes]
+        # The nodes of a process have one policy, and fail together: all values are the same.
+        return refusals[-1]
+
+    def _end_dead(self, nodes: Sequence[NodeProcess], code: int, line: str) -> None:
+        """Log the line of a failure, and end the nodes, which are not started again."""
         for node in nodes:
             node.ended = True
         self._log(line)
@@ -492,6 +503,16 @@ class Fleet:
             self.exit_code = self.exit_code or code
         else:
             self.late_code = max(self.late_code, code)
+
+
+def _death_line(nodes: Sequence[NodeProcess], failed: NodeProcess, text: str) -> str:
+    """Log line of a failure; of a text of the failed node itself, with its companions named."""
+    if not text.startswith("["):
+        return f"[launch] {text}"
+    companions = [node for node in nodes if node is not failed]
+    if companions:
+        return f"{text} (of the same process: {_names(companions)})"
+    return text
 
 
 def _names(nodes: Iterable[NodeProcess]) -> str:
