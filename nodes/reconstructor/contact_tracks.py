@@ -13,7 +13,18 @@ from sparseskin.messages.contacts import BEGIN, END, OVER, SLIDE, TOUCH
 from sparseskin.messages.skin import CONTACT_FRACTION
 from sparseskin.nodes.numerics.arrays import Doubles, Floats, Indices, Integers
 
-from .contacts import HELD, ContactFinder, Found, Limits
+from .contacts import (
+    AREA,
+    HELD,
+    NORMAL,
+    PEAK,
+    PLACE,
+    TOTAL,
+    ContactFinder,
+    Found,
+    Limits,
+    deviation_row,
+)
 from .first_touch import UNKNOWN, Touch
 
 GATE = 4.0
@@ -185,10 +196,9 @@ class ContactTracker:
             return self._end()
 
         earlier = self._tracks
-        # Sums are total, area, peak; then row, column, and x, y, z where the skin has places; then
-        # normals; and deviations of the total and of each of these.
-        end_of_means = len(regions.sums) // 2 + 1
-        places = regions.sums[3 : min(8, end_of_means)]
+        # Row and column, and x, y, z where the skin has places; normals are none.
+        end_of_means = deviation_row(regions.sums)
+        places = regions.sums[PLACE : min(NORMAL, end_of_means)]
         ids = self._ids(regions, places)
         for k, contact_id in enumerate(ids):
             if not contact_id:
@@ -208,7 +218,7 @@ class ContactTracker:
 
         limits = self.limits
         if not math.isinf(limits.over):
-            begins = _switch(tracks.over, regions.sums[0], limits.over)
+            begins = _switch(tracks.over, regions.sums[TOTAL], limits.over)
             events += [(ids[k], OVER) for k in begins]
         # The last three velocities are in mm/s; without a pitch there are two, in taxels/s.
         if not math.isinf(limits.slide):
@@ -270,7 +280,7 @@ class ContactTracker:
         spots = [tracks.places[:2, q] for q in gone]
         for k, q, distance in _nearest(alone, places, spots):
             # A large one moves as far in its own size.
-            side = math.sqrt(regions.sums[1, k])
+            side = math.sqrt(regions.sums[AREA, k])
             if distance <= GATE + side:
                 ids[k] = tracks.ids[gone[q]]
         return ids
@@ -329,21 +339,21 @@ class ContactTracker:
         """Fields of the message."""
         # One conversion of all numbers: of a few contacts each call takes as long as the numbers.
         n = len(sums)
-        end_of_means = n // 2 + 1
+        end_of_means = deviation_row(sums)
         doubles = np.concatenate([sums, self._tracks.state])
         floats = doubles.astype(np.float32)
-        means = floats[3:end_of_means]
+        means = floats[PLACE:end_of_means]
         deviations = floats[end_of_means:n]
         age_s, over, sliding = floats[n : n + 3]
         velocities = floats[n + 3 :]
         fields: dict[str, Any] = {
             "id": np.array(self._tracks.ids, dtype=np.int32),
-            "total": floats[0],
+            "total": floats[TOTAL],
             "total_sd": deviations[0],
-            "peak": floats[2],
+            "peak": floats[PEAK],
             "centre": means[:2].T.copy(),
             "centre_sd": deviations[1:3].T.copy(),
-            "area": floats[1].astype(np.int32),
+            "area": floats[AREA].astype(np.int32),
             "velocity": velocities[:2].T.copy(),
             "age_s": age_s,
             "over": over > 0,
@@ -354,7 +364,7 @@ class ContactTracker:
             fields["velocity_mm_s"] = velocities[2:5].T.copy()
             fields["place_sd_mm"] = deviations[3:6].T.copy()
         if self._cell_mm2:
-            fields["area_mm2"] = floats[1] * self._cell_mm2
+            fields["area_mm2"] = floats[AREA] * self._cell_mm2
         if len(means) > 5:
             fields["normal"] = means[5:].T.copy()
         return fields

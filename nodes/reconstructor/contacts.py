@@ -3,7 +3,7 @@
 import math
 from collections.abc import Callable, Sequence, Set
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -28,14 +28,25 @@ HELD = 0.5
 """Part of the least force, and of the force and speed of an event, at which a contact ends, or the
 event may come again. Chosen."""
 AT_ONCE = 2.0
-"""Factor of the high threshold above which a contact begins in its first frame; below it, in the
-second one in a row that exceeds the threshold at a place, of which a touch that the measurements
-show is as good as the first. Chosen."""
+"""Factor on the high threshold: a contact above the product begins in its first frame. One below it
+begins in the second frame in a row that exceeds the threshold itself at one place. A touch that the
+measurements show counts as the first of these two frames. Chosen."""
 SD_SCALE = 2.0
 """Factor on the standard deviations of independent errors, which neighbours do not have. Fitted: on
 two scenes and three presses, 40 x 40 taxels, all taxels read, N/3 and N/8, the true deviations of a
 total are 1.4 to 4.6 times those of independent errors (geometric mean 2.4), of a centre 0.7 to 3.1
 (1.8)."""
+
+TOTAL = 0
+"""Row of the totals in `sums`, as of `components`, with a column for each contact."""
+AREA = 1
+"""Row of the numbers of taxels in `sums`."""
+PEAK = 2
+"""Row of the largest forces in `sums`."""
+PLACE = 3
+"""First row of the centres in `sums`: row, column; then x, y, z and a normal where known."""
+NORMAL = 8
+"""First row of the normals in `sums`, behind row, column, x, y, z; only of a skin of points."""
 
 
 @dataclass(frozen=True)
@@ -83,8 +94,27 @@ class Features:
     labels: Indices
 
 
-Components = tuple[Indices, Indices, Doubles, Indices, int]
-"""What `components` returns."""
+class Components(NamedTuple):
+    """Connected components of a frame, n of them, as of `components`.
+
+    `cells`: flat indices of their taxels, (n_pressed,); `labels`: number of the component of each,
+    from 0 on, (n_pressed,). `sums`: (4 + 2 k, n), where k is the number of places of a cell: rows
+    total, area, peak, k centres, variance of the total, and variances of the k centres. `overlap`:
+    numbers of taxels in each earlier region, (n, n_regions). `n_above`: number of all taxels above
+    the low threshold.
+    """
+
+    cells: Indices
+    labels: Indices
+    sums: Doubles
+    overlap: Indices
+    n_above: int
+
+
+def deviation_row(sums: Doubles) -> int:
+    """Row of the variance, or deviation, of the total in `sums`; those of the centres follow."""
+    # Of 4 + 2 k rows, total, area, peak and k centres stand before it.
+    return len(sums) // 2 + 1
 
 
 class Found(NamedTuple):
@@ -108,7 +138,8 @@ class ContactFinder:
         self._n_taxels = skin.n_taxels
         self._places = _places_of(skin)
         self._alike = np.ones(self._places.shape[1], dtype=np.float32)
-        self._components: Callable[..., Components] = components
+        #: The compiled loop returns the fields of `Components` as a plain tuple.
+        self._components: Callable[..., tuple[Any, ...]] = components
         if use_compiled(fast):
             from sparseskin.nodes.numerics import kernels  # needs numba
 
@@ -132,12 +163,16 @@ class ContactFinder:
     ) -> Found | None:
         """Contacts of the next frame, float32 (n_rows, n_cols), 0 in masked cells; None: none.
 
-        `error`: RMS error of a taxel, in the unit of the forces; `is_mean`: it is that over all
-        taxels of the skin, of which those that are 0 have none. `unit`: that of the thresholds, by
-        default the error. `sd`: standard deviation of each force, in place of the error. `common`:
-        relative error that all forces share, which totals have beside that. What overlaps most with
-        a contact of the frame before stays one above the low threshold, with half of the least
-        force.
+        `unit` scales the thresholds; by default it is `error`. The deviations of totals and centres
+        follow from `sd`, or without it from `error`. `error`, `unit` and `sd` have the unit of the
+        forces.
+
+        `error`: RMS error of a taxel. `is_mean`: it is the mean over all taxels of the skin, of
+        which those that are 0 have no error. `sd`: standard deviation of each force, (n_rows,
+        n_cols). `common`: relative error that all forces share, which totals have beside that.
+
+        What overlaps most with a contact of the frame before stays a contact above the low
+        threshold, with half of the least force.
         """
         unit = error if unit is None else unit
         high = limits.high * unit
@@ -152,7 +187,9 @@ class ContactFinder:
         variances = self._alike
         if sd is not None:
             variances = np.square(sd, dtype=np.float32).reshape(-1)
-        index, labels, sums, overlap, n_above = self._components(
+        # The compiled loop takes these types alone. `low` is compared with each force, in float32;
+        # `high` also with peaks of float64.
+        components_of_frame = self._components(
             forces,
             np.float32(limits.low * unit),
             high,
@@ -161,6 +198,7 @@ class ContactFinder:
             self.regions,
             n_before,
         )
+        index, labels, sums, overlap, n_above = components_of_frame
         waited: set[int] = set()
         if waiting is not None:
             waited.update(labels[waiting[index]].tolist())
@@ -187,12 +225,12 @@ class ContactFinder:
         """Turn variances, times a scale, into standard deviations, of which an error that all
         forces share adds to that of the total; and normals into unit vectors.
         """
-        variance_row = 3 + len(self._places)
+        variance_row = deviation_row(sums)
         deviations = sums[variance_row:]
         np.sqrt(scale * deviations, out=deviations)
-        np.hypot(deviations[0], common * sums[0], out=deviations[0])
-        if variance_row > 8:
-            normals = sums[8:variance_row]
+        np.hypot(deviations[0], common * sums[TOTAL], out=deviations[0])
+        if variance_row > NORMAL:
+            normals = sums[NORMAL:variance_row]
             lengths = np.linalg.norm(normals, axis=0)
             # Those of a surface that turns within a contact may cancel.
             normals /= np.maximum(lengths, 1e-12)
@@ -254,7 +292,7 @@ def _contacts_among(
     # What goes on needs half of the force alone, so that a contact at the limit does not flicker.
     contacts = []
     candidates = []
-    for component, (total, area, peak) in enumerate(sums[:3].T.tolist()):
+    for component, (total, area, peak) in enumerate(sums[:PLACE].T.tolist()):
         fits = total >= limits.force and area >= limits.area and peak > high
         goes_on = component in continued and total >= HELD * limits.force
         begins = fits and (peak > AT_ONCE * high or component in waited)
@@ -278,10 +316,8 @@ def components(
     earlier region, and their sums.
 
     `forces`: (n_rows, n_cols); `variances`, (n_cells,), of the forces; `places`: (k, n_cells);
-    `regions`: (n_cells,), from 1 to `n_regions`, or 0; it becomes that of the components. Returns
-    the flat indices of the taxels, the number of the component of each; rows with an entry for each
-    component: total, area, peak, k centres, variance of the total, and by the delta method those of
-    the centres; the numbers of taxels in each region, (n, n_regions); and that of all above `low`.
+    `regions`: (n_cells,), from 1 to `n_regions`, or 0; it becomes that of the components. Variances
+    of the centres are those of the delta method.
     """
     # Half the time of the start of a process: it is imported only where it is used.
     from scipy import ndimage
@@ -325,7 +361,7 @@ def components(
     regions.fill(0)
     regions[index] = labels + 1
     sums = np.stack([total, area, peak, *means, variance, *spread])
-    return index, labels, sums, overlap, n_above
+    return Components(index, labels, sums, overlap, n_above)
 
 
 @checked(SolverError)
@@ -401,20 +437,26 @@ def find_contacts(
                 f"find_contacts: sd of shape {sd.shape}; allowed: 0 or more, of shape "
                 f"{forces.shape}, as the forces"
             )
-    # There is no second frame: each contact begins at once.
     forces = np.where(skin.exists, forces, np.float32(0))
+    # There is no second frame. In the first one a contact begins above `AT_ONCE` times the high
+    # threshold of `Limits`, which is then the one stated here.
     limits = Limits(low, high / AT_ONCE, force, area)
     finder = ContactFinder(skin)
     contacts = finder.find(forces, error, limits, is_mean=is_mean, sd=sd)
-    sums = np.zeros((8, 0)) if contacts is None else contacts.sums
+    # Without a pitch the places are row and column alone.
+    n_places = 2
+    sums = np.zeros((4 + 2 * n_places, 0))
+    if contacts is not None:
+        sums = contacts.sums
+    total_sd, *centre_sd = sums[deviation_row(sums) :]
     index = np.flatnonzero(finder.regions)
     return Features(
-        total=sums[0],
-        total_sd=sums[5],
-        peak=sums[2],
-        centre=np.ascontiguousarray(sums[3:5].T),
-        centre_sd=np.ascontiguousarray(sums[6:].T),
-        area=sums[1].astype(np.intp),
+        total=sums[TOTAL],
+        total_sd=total_sd,
+        peak=sums[PEAK],
+        centre=np.ascontiguousarray(sums[PLACE : PLACE + n_places].T),
+        centre_sd=np.stack(centre_sd, axis=1),
+        area=sums[AREA].astype(np.intp),
         index=index,
         labels=finder.regions[index].astype(np.intp) - 1,
     )
