@@ -116,8 +116,8 @@ class QuietCount:
 class FrameMetrics:
     """Messages of one frame, and its figures once it is complete; unknown ones are nan.
 
-    `lost` is the number of frames up to this one that were sensed and neither reconstructed nor
-    skipped on purpose.
+    `lost_so_far`: number of all frames up to this one that were sensed and neither reconstructed
+    nor skipped on purpose; `n_sensed`, `n_answered`: those of the patch up to this frame, too.
     """
 
     taxels: Taxels | None = None
@@ -127,7 +127,7 @@ class FrameMetrics:
     psnr_db: float = math.nan
     latency_ms: float = math.nan
     solve_ms: float = math.nan
-    lost: int = 0
+    lost_so_far: int = 0
     n_sensed: int = 0
     n_answered: int = 0
 
@@ -135,13 +135,16 @@ class FrameMetrics:
 class PatchMetrics:
     """Pairs a patch's messages by stamp and accumulates the figures of its summary.
 
+    The arrays and lists of a message have a patch axis, on which `[0]` is the patch.
+
     `since_ns` is the time at which the monitor joined a graph that already ran, None from its begin
     on; `clock_of` as of `Context`. `latency_ns` of the last reconstruction is by the clock of the
     monitor's host, None where a clock is unknown, or where no time passes, as in a recording that
     was computed offline; `latency_uncertainty_ns` is the largest so far, 0 on one host. `load` is
     the total force of the newest frame, 0 where it is not in contact, None before the first one;
     `doubts` the number of frames not to be trusted by the reason. While `idle`, the newest frame
-    was published as unchanged; `unchanged` counts such frames.
+    was published as unchanged; `unchanged` counts such frames. `lost_so_far` counts losses up to
+    the newest complete frame, `lost` those of the summary.
     """
 
     def __init__(
@@ -158,7 +161,8 @@ class PatchMetrics:
         self._reconstructed = TopicCount(late)
         self._quiet = QuietCount(late)
         self._previous: Reconstruction | None = None
-        # Frames sensed before the first that a late subscriber can compare.
+        # Of a late subscriber: sensed frames less those answered, at its first complete frame. They
+        # count neither as sensed nor as lost.
         self._n_before = 0
         self._pending: OrderedDict[int, FrameMetrics] = OrderedDict()
         self._noise = MeasuredNoise()
@@ -171,12 +175,12 @@ class PatchMetrics:
         self.solver: SolverState | None = None
         self.changes: list[Document] = []
 
-        self.noisy = Quality()
-        self.reconstruction = Quality()
-        self.trust = Quality()
-        self.relative_error = Extent()
-        self.latency = Quantiles()
-        self.solve = Quantiles()
+        self.noisy = Quality()  # PSNR of the taxels, dB
+        self.reconstruction = Quality()  # PSNR of the reconstruction, dB
+        self.trust = Quality()  # 1 for a frame that is trusted, 0 for one that is not
+        self.relative_error = Extent()  # ratio of norms, of contact frames
+        self.latency = Quantiles()  # added in ns
+        self.solve = Quantiles()  # added in ns
 
         self.bytes_in = 0
         self.bytes_out = 0
@@ -315,7 +319,8 @@ class PatchMetrics:
         end_ns = message.stamp_ns
         between = [ns for ns in self._pending if begin_ns < ns < end_ns]
 
-        # Of a long silence the first ones were dropped, and counted as unpaired.
+        # `_pair` dropped the first ones of a long silence, and counted them as unpaired. They were
+        # not sent on purpose: that count is taken back.
         n_dropped = max(0, n_quiet - len(between))
         self.unpaired -= min(self.unpaired, n_dropped)
         # Some were lost, and nobody knows which.
@@ -425,46 +430,61 @@ class PatchMetrics:
                     del self._pending[pending_ns]
         self.compared += 1
 
-        # Both streams count the same frames: the difference of their counts is lost.
+        # Sensed and answered frames are the same ones: the difference of their counts is lost.
         n_lost = frame.n_sensed - frame.n_answered - self._n_before
         self.lost_so_far = max(0, n_lost)
-        frame.lost = self.lost_so_far
+        frame.lost_so_far = self.lost_so_far
 
     def _compare(
         self, frame: FrameMetrics, reconstruction: Reconstruction, skin: SkinState
     ) -> None:
-        """Add the figures of a complete frame, in the taxels that gave readings."""
+        """Add load, trust and accuracy of a complete frame, in the taxels that gave readings."""
         # A reading that was filled in is no reference.
         cells = _cells_read(skin, reconstruction)
         forces: Floats = reconstruction.forces[0][cells]
         taxels = _forces_in(cells, frame.taxels)
         truth = _forces_in(cells, frame.truth)
-        reference = truth
-        if truth is None:
-            reference = taxels
 
-        # Without a reference, contact is judged by the reconstruction.
-        judged = reference
-        if judged is None:
-            judged = forces
-        # A true force is without noise.
-        noise = 0.0
-        if truth is None:
-            noise = skin.sigma_end or self._noise.update(judged)
-        is_contact = in_contact(judged, skin.f_max, noise)
+        if truth is not None:
+            # A true force is without noise.
+            is_contact = in_contact(truth, skin.f_max, 0.0)
+        elif taxels is not None:
+            is_contact = self._in_noisy_contact(taxels, skin)
+        else:
+            # Without a reference, contact is judged by the reconstruction.
+            is_contact = self._in_noisy_contact(forces, skin)
         self.load = 0.0
         if is_contact:
             self.load = float(forces.sum())
         self._add_trust(reconstruction, is_contact)
 
-        if reference is None or taxels is None:
-            return
-        # Taxels are compared with the truth; without it they are the reference.
-        if truth is not None:
-            frame.psnr_noisy_db = psnr_db(taxels - reference, skin.f_max)
+        if taxels is not None and truth is not None:
+            frame.psnr_noisy_db = psnr_db(taxels - truth, skin.f_max)
             self.noisy.add(frame.psnr_noisy_db, is_contact)
+            self._add_accuracy(frame, forces, truth, skin.f_max, is_contact)
+        elif taxels is not None:
+            self._add_accuracy(frame, forces, taxels, skin.f_max, is_contact)
+
+    def _in_noisy_contact(self, forces: Floats, skin: SkinState) -> bool:
+        """True if noisy forces, (n,), are in contact. Noise that the skin does not state is that
+        measured so far, with this frame.
+        """
+        noise = skin.sigma_end
+        if not noise:
+            noise = self._noise.update(forces)
+        return in_contact(forces, skin.f_max, noise)
+
+    def _add_accuracy(
+        self,
+        frame: FrameMetrics,
+        forces: Floats,
+        reference: Floats,
+        f_max: float,
+        is_contact: bool,
+    ) -> None:
+        """Compare the forces of a reconstruction, (n,), with those of the truth or the taxels."""
         error = forces - reference
-        frame.psnr_db = psnr_db(error, skin.f_max)
+        frame.psnr_db = psnr_db(error, f_max)
         self.reconstruction.add(frame.psnr_db, is_contact)
         if is_contact:
             square = _energy(error) / _energy(reference)

@@ -217,11 +217,11 @@ class Feed:
             feed.note(frame.reconstruction, now_s)
         # A map that is of no later frame keeps its age.
         feed.came_s.update(dict.fromkeys(feed.maps, now_s))
-        feed.lost = frame.lost
+        feed.lost = frame.lost_so_far
         feed.ended = False
-        # The first column is the time.
-        names = COLUMNS[1:]
-        figures = [getattr(frame, name) for name in names]
+        # The first column is the time, the last one the losses so far.
+        figures = [getattr(frame, name) for name in COLUMNS[1:-1]]
+        figures.append(frame.lost_so_far)
         feed.history.add(now_s, *figures)
         self._show(feed)
 
