@@ -56,7 +56,7 @@ class ChangeWatch:
         self._departures = Departures(
             skin, FALSE_SENDS / self.length, n_windows=N_WINDOWS
         )
-        n_scores = self._departures.squares.n
+        n_scores = self._departures.pyramid.n
         self._windows = Windows(n_patches, n_scores, N_WINDOWS)
         self.sending = np.ones(n_patches, dtype=np.bool_)
         #: Blocks that are still to be sent, the present one too.
@@ -115,7 +115,7 @@ class ChangeWatch:
         # Variance of the reference, in that of a reading.
         noise = 1 / self._n
         scores = self._departures.scores(difference)
-        departs = self._windows.alarms(scores, self._bounds.squares, noise)
+        departs = self._windows.alarms(scores, self._bounds.scores, noise)
 
         energy = self._departures.energy(difference, self._bounds)
         departs |= energy > self._bounds.energy * (1 + noise)
@@ -144,7 +144,7 @@ class ChangeWatch:
         difference = (late - early)[np.newaxis]
         scores = self._departures.scores(difference)
         deviation = np.sqrt(4 / length, dtype=np.float32)
-        limits = bounds.squares[:, -1] * deviation
+        limits = bounds.scores[:, -1] * deviation
         if (np.abs(scores) <= limits).all():
             self._reference[patch] = mean
             self._n[patch] = length

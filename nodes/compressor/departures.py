@@ -4,10 +4,12 @@ A difference d = y - r of the measurements y = Phi x of a frame and of a referen
 nothing changes: that of the readings x, of standard deviation sigma(f) under the force f, as of
 `NoiseModel`, where readings are clipped at 0. Two statistics have to stay within their bounds:
 
-- squares: sums of Phi' d over all squares of 1, 2, 4, 8 ... taxels a side, on a grid without
+- scores: sums of Phi' d over all squares of 1, 2, 4, 8 ... taxels a side, on a grid without
   overlap, each over the norm that noise of unit variance gives it: matched filters for a square
   that is pressed evenly. They are summed over the last 1, 2, 4, 8 ... frames, too;
 - energy: the sum of d^2 over its variance, for changes whose signs alternate.
+
+A square is a part of the grid of taxels; the squares of one size are a level of the pyramid.
 
 Readings themselves are measurements with Phi = identity. Phi is known by `forward` and `adjoint`
 alone: any matrix has these statistics.
@@ -42,14 +44,15 @@ from sparseskin.nodes.sensor.noise import CLIPPED, NoiseModel
 CLIPPED_MEAN = 1 / math.sqrt(2 * math.pi)
 """Mean of max(0, z), z ~ N(0, 1). Derived."""
 MOST_WEIGHTS = 2**25
-"""Most weights of the squares of a level that are computed. Chosen: half a second. Beyond, as of
-single pairs of taxels on more than 90 x 90 of them, norms have an upper bound in their place."""
+"""Most weights of a level that are computed, squares times cells. Chosen: half a second. Levels of
+more, as of 2 x 2 taxels from 108 x 108 on, have an upper bound in place of their norms. Norms of
+single taxels are always computed."""
 AT_ONCE = 256
 """Squares whose weights are computed at once. Chosen: 4 MB on 64 x 64 taxels."""
 _T = np.geomspace(0.01, 40.0, 500)
 """Arguments of the cumulant generating functions; the least bound of them holds as any does."""
 _T_SQUARE = np.geomspace(1e-4, 0.4999, 500)
-"""The same of squares, whose functions end at 1/2."""
+"""The same of z^2 in place of z, whose functions end at 1/2."""
 
 
 def normal_cdf(t: Doubles) -> Doubles:
@@ -76,16 +79,16 @@ def _cumulants_of_square(clips: bool) -> Doubles:
     Derived: a Gaussian integral over z > 0, and half of the weight at z = 0.
     """
     shrunk = 1 - 2 * _T_SQUARE
-    of_normal = -0.5 * np.log(shrunk)
+    normal_cumulants = -0.5 * np.log(shrunk)
     if not clips:
-        return of_normal
+        return normal_cumulants
 
     # z <= 0 is clipped: its square is that of the mean, whatever z is.
     at_zero = _T_SQUARE * CLIPPED_MEAN**2
     # For z > 0, completing the square leaves a normal density with a shifted mean.
     shift = 2 * _T_SQUARE * CLIPPED_MEAN / np.sqrt(shrunk)
     above_zero = np.log(normal_cdf(-shift))
-    positive = at_zero + shift**2 / 2 + of_normal + above_zero
+    positive = at_zero + shift**2 / 2 + normal_cumulants + above_zero
     return np.logaddexp(math.log(0.5) + at_zero, positive)
 
 
@@ -106,10 +109,11 @@ _K_SQUARE_CLIPPED = _cumulants_of_square(clips=True)
 
 @dataclass(frozen=True)
 class Weights:
-    """Weights of the taxels in a sum over a square, whose squares sum to 1.
+    """Weights of the taxels in a score, the sum over a square. Their powers w^2 add up to 1.
 
-    `inside`: part of that sum of the taxels of the square; `n_inside`: least number of equal
-    weights that has it, its sum of squares over the largest one; `n_outside`: that of the others.
+    `inside`: sum of the powers of the taxels within the square. `n_inside`: this sum over the
+    largest of these powers, the least number of equal weights with this sum. `n_outside`: the same
+    ratio of the taxels beyond the square.
     """
 
     inside: float = 1.0
@@ -118,12 +122,13 @@ class Weights:
 
 
 def variance_clipped(weights: Weights, n_frames: int, z: float) -> float:
-    """Variance, in that of the noise before clipping, with which a weighted sum of untouched
-    readings less its mean, over `n_frames`, exceeds z standard deviations at most as often as a
-    normal variable: 0.3408 for many equal weights.
+    """Variance by which a bound of z standard deviations holds for a weighted sum of untouched
+    readings, summed over `n_frames`, less its mean. The sum exceeds this bound at most as often as
+    a normal variable exceeds z. It is a multiple of the variance of the noise before clipping:
+    0.3408 for many equal weights.
 
-    The function K(t) / t^2 of clipped noise grows with t > 0, and is larger than that of -t: no
-    weights of one sum of squares have a larger sum of K than equal ones of the largest size.
+    K(t) / t^2 of clipped noise grows with t > 0, and is larger at t than at -t. So of all weights
+    with the same sum of powers, equal ones of the largest size have the largest sum of K.
     """
     cumulants = np.zeros_like(_T)
     inside = weights.inside, weights.n_inside
@@ -148,8 +153,8 @@ def energy_bound(n_touched: float, n_untouched: float, z: float) -> float:
     if n_untouched:
         # The variance of clipped noise is 0.3408: a square over it has an argument larger by that.
         arguments = CLIPPED * _T_SQUARE
-        of_normal = -0.5 * np.log1p(-2 * arguments)
-        cumulants = n_touched * of_normal + n_untouched * _K_SQUARE_CLIPPED
+        normal_cumulants = -0.5 * np.log1p(-2 * arguments)
+        cumulants = n_touched * normal_cumulants + n_untouched * _K_SQUARE_CLIPPED
     else:
         arguments = _T_SQUARE
         cumulants = n_touched * _K_SQUARE
@@ -157,15 +162,16 @@ def energy_bound(n_touched: float, n_untouched: float, z: float) -> float:
     return float(bounds.min())
 
 
-class Squares:
+class SquarePyramid:
     """Sums over the squares of 1, 2, 4 ... taxels a side of a grid, the smallest ones first.
 
-    `most`: largest number of squares of a side; smaller squares are left out. `levels`: side of a
-    square in taxels of each level; `spans`: its slice of the sums.
+    The squares of one size are a level. `most`: largest number of squares of a level; levels with
+    more are left out. `sides`: side of the squares of each level, in taxels; `spans`: slice of the
+    sums of each level; `n`: number of all sums.
     """
 
     def __init__(self, shape: tuple[int, int], most: int | None = None) -> None:
-        self.levels: list[int] = []
+        self.sides: list[int] = []
         self.spans: list[slice] = []
         self._shape = shape
         self._shapes: list[tuple[int, int]] = []
@@ -176,7 +182,7 @@ class Squares:
             rows, cols = (-(-n_cells // side) for n_cells in shape)
             n_squares = rows * cols
             if most is None or n_squares <= most:
-                self.levels.append(side)
+                self.sides.append(side)
                 self._shapes.append((rows, cols))
                 self.spans.append(slice(self.n, self.n + n_squares))
                 self.n += n_squares
@@ -188,24 +194,24 @@ class Squares:
         """Sums of grids: float32, shape (k, n_rows, n_cols) to (k, n)."""
         k = len(grids)
         sums = np.empty((k, self.n), dtype=np.float32)
-        level = grids
+        pooled = grids
         side = 1
-        levels = zip(self.levels, self.spans, self._shapes, strict=True)
+        levels = zip(self.sides, self.spans, self._shapes, strict=True)
         for level_side, span, (n_rows, n_cols) in levels:
             # Levels that are left out are pooled all the same: the next one is made of them.
             while side < level_side:
-                level = _pooled(level)
+                pooled = _pooled(pooled)
                 side *= 2
-            sums[:, span] = level.reshape(k, n_rows * n_cols)
+            sums[:, span] = pooled.reshape(k, n_rows * n_cols)
         return sums
 
-    def of_cells(self, level: int) -> Indices:
-        """Number of the square of a level that each cell of the grid lies in, flat."""
+    def square_of_cell(self, level: int) -> Indices:
+        """Number, in a level, of the square that each cell of the grid lies in, (n_cells,)."""
         n_cols = self._shape[1]
         cells = np.arange(math.prod(self._shape))
         rows, cols = np.divmod(cells, n_cols)
 
-        side = self.levels[level]
+        side = self.sides[level]
         _, squares_of_row = self._shapes[level]
         numbers: Indices = rows // side * squares_of_row + cols // side
         return numbers
@@ -232,21 +238,21 @@ def _pooled(grids: Floats) -> Floats:
 class Bounds:
     """Bounds of the differences d of k patches, where only noise explains them.
 
-    `squares`: of the scores of single frames, and of the sums of 2, 4 ... of them over the root of
-    their number, (k, n_windows, n). `weights`: inverse variances of d, (k, n_rows, n_cols) of
+    `scores`: of those of single frames, and of the sums of 2, 4 ... frames over the root of their
+    number, (k, n_windows, n). `weights`: inverse variances of d, (k, n_rows, n_cols) of
     readings, 0 where no taxel is, (k, 1) of measurements; `energy`: of the sum of d^2 in these,
     (k,).
     """
 
-    squares: Floats
+    scores: Floats
     weights: Floats
     energy: Doubles
 
-    def put(self, patch: int, of_patch: "Bounds") -> None:
+    def put(self, patch: int, bounds: "Bounds") -> None:
         """Replace the bounds of a patch, by number, by those of a single one."""
-        self.squares[patch] = of_patch.squares
-        self.weights[patch] = of_patch.weights
-        self.energy[patch] = of_patch.energy[0]
+        self.scores[patch] = bounds.scores
+        self.weights[patch] = bounds.weights
+        self.energy[patch] = bounds.energy[0]
 
 
 class Departures:
@@ -265,7 +271,7 @@ class Departures:
     one_sided : bool
         True if only positive scores are an alarm.
     most : int, optional
-        Largest number of squares of a side, as of `Squares`: a few take one matrix product.
+        Largest number of squares of a level, as of `SquarePyramid`: a few take one matrix product.
 
     Raises SettingsError if the noise that the skin states is not valid.
     """
@@ -280,33 +286,34 @@ class Departures:
         one_sided: bool = False,
         most: int | None = None,
     ) -> None:
-        self.squares = Squares((skin.n_rows, skin.n_cols), most)
+        self.pyramid = SquarePyramid((skin.n_rows, skin.n_cols), most)
         self.one_sided = one_sided
         self.n_windows = n_windows
         self._exists = skin.skin.exists
         self._cells = np.flatnonzero(self._exists)
         self._clips = skin.clips_noise
-        self._end = skin.sigma_end
+        # The noise at both ends of the range is that of an untouched taxel, whose force is 0.
+        self._untouched_sd = skin.sigma_end
         self._noise = NoiseModel(
             skin.f_max, skin.sigma_mid, skin.sigma_end, clips=self._clips
         )
         self._phis = phis
 
-        # Squares and energy have half of the false alarms each. Windows of 2, 4 ... frames double
-        # those of one at most.
+        # Scores and energy have half of the false alarms each. A window of 2^w frames is tested
+        # every 2^w frames: all windows make 1 + 1/2 + 1/4 ... < 2 tests a frame in the mean.
         quantile = NormalDist().inv_cdf
         n_sides = 1 if one_sided else 2
-        n_tests = n_sides * min(n_windows, 2) * self.squares.n
+        n_tests = n_sides * min(n_windows, 2) * self.pyramid.n
         self._z = -quantile(chance / 2 / n_tests)
         self._z_energy = -quantile(chance / 2)
 
-        #: Number of taxels of each square.
         ones = self._exists[np.newaxis].astype(np.float32)
-        self._count = self.squares.sums(ones)[0]
-        sums = [self._of_measurements(phi) for phi in phis]
+        #: Number of taxels of each square.
+        self._count = self.pyramid.sums(ones)[0]
+        norms_and_weights = [self._norms_of_measurements(phi) for phi in phis]
         if not phis:
-            sums = [self._of_readings()]
-        self._scales = [_inverse(norms) for norms, _ in sums]
+            norms_and_weights = [self._norms_of_readings()]
+        self._scales = [_inverse(norms) for norms, _ in norms_and_weights]
         self._products: list[Floats] = []
         if most is not None:
             self._products = [
@@ -315,11 +322,11 @@ class Departures:
             ]
 
         # Weights are those of the first subset, to which the others are alike.
-        _, weights = sums[0]
-        self._inside = np.empty(self.squares.n, dtype=np.float32)
-        for span, of_level in zip(self.squares.spans, weights, strict=True):
-            self._inside[span] = of_level.inside
-        self._excess = self._excess_of(weights)
+        _, weights = norms_and_weights[0]
+        self._inside = np.empty(self.pyramid.n, dtype=np.float32)
+        for span, level_weights in zip(self.pyramid.spans, weights, strict=True):
+            self._inside[span] = level_weights.inside
+        self._excess = self._excess_variance(weights)
 
     def scores(self, differences: Floats, subset: int = 0) -> Floats:
         """Scores of differences, float32 (k, n_rows, n_cols) of readings, (k, m) of measurements by
@@ -330,7 +337,7 @@ class Departures:
         grids = differences
         if self._phis:
             grids = self._back_projected(differences, self._phis[subset])
-        scores = self.squares.sums(grids)
+        scores = self.pyramid.sums(grids)
         scores *= self._scales[subset]
         return scores
 
@@ -350,24 +357,24 @@ class Departures:
         untouched = np.zeros(reference.shape, dtype=np.bool_)
         if self._clips:
             # The tables are of noise with a deviation of 1; a reference is a mean of clipped ones.
-            clipped_part = np.interp(reference / self._end, _MEANS, _VARIANCES)
+            clipped_part = np.interp(reference / self._untouched_sd, _MEANS, _VARIANCES)
             variances *= clipped_part.astype(np.float32)
-            is_light = reference < _MEANS[-1] * self._end
+            is_light = reference < _MEANS[-1] * self._untouched_sd
             untouched = self._exists & is_light
 
         # Where few weights carry a score, untouched taxels count for more than their variance.
-        of_score = self._of_scores(variances)
-        untouched_share = self._of_scores(untouched.astype(np.float32))
+        score_variance = self._mean_by_score(variances)
+        untouched_share = self._mean_by_score(untouched.astype(np.float32))
         excess = self._excess * untouched_share[:, np.newaxis]
-        excess *= np.float32(self._end**2)
-        of_windows = of_score[:, np.newaxis] + excess
-        limits = np.float32(self._z) * np.sqrt(of_windows)
+        excess *= np.float32(self._untouched_sd**2)
+        window_variance = score_variance[:, np.newaxis] + excess
+        limits = np.float32(self._z) * np.sqrt(window_variance)
 
-        of_energy = self._energy_of_readings
-        if self._phis:
-            of_energy = self._energy_of_measurements
         n_untouched = np.count_nonzero(untouched, axis=(1, 2))
-        weights, energy = of_energy(variances, n_untouched)
+        if self._phis:
+            weights, energy = self._energy_of_measurements(variances, n_untouched)
+        else:
+            weights, energy = self._energy_of_readings(variances, n_untouched)
         return Bounds(limits, weights, energy)
 
     def no_bounds(self, n_patches: int) -> Bounds:
@@ -376,14 +383,16 @@ class Departures:
         if self._phis:
             one_weight = (1,)
         return Bounds(
-            np.zeros((n_patches, self.n_windows, self.squares.n), dtype=np.float32),
+            np.zeros((n_patches, self.n_windows, self.pyramid.n), dtype=np.float32),
             np.zeros((n_patches, *one_weight), dtype=np.float32),
             np.zeros(n_patches),
         )
 
-    def _of_scores(self, values: Floats) -> Floats:
-        """Means of the values of taxels, (k, n_rows, n_cols), by their parts of scores: (k, n)."""
-        local = self.squares.sums(values)
+    def _mean_by_score(self, values: Floats) -> Floats:
+        """Mean of the values of taxels, (k, n_rows, n_cols), weighted by their powers in each
+        score: (k, n).
+        """
+        local = self.pyramid.sums(values)
         # The last square is the whole grid.
         mean = local[:, -1:] / self._count[-1]
         local /= np.maximum(self._count, 1)
@@ -442,32 +451,32 @@ class Departures:
     def _product(self, phi: Phi, scale: Floats) -> Floats:
         """Matrix (m, n) by which measurements have their scores."""
         rows = []
-        for level, span in enumerate(self.squares.spans):
-            square_of_taxel = self.squares.of_cells(level)[self._cells]
+        for level, span in enumerate(self.pyramid.spans):
+            square_of_taxel = self.pyramid.square_of_cell(level)[self._cells]
             numbers = np.arange(span.stop - span.start)
-            squares = square_of_taxel == numbers[:, np.newaxis]
-            # The sum of Phi' d over a square is the product of d with Phi times the square.
-            rows.append(phi.forward(squares.astype(np.float32)))
+            in_square = square_of_taxel == numbers[:, np.newaxis]
+            # The sum of Phi' d over a square is the product of d with Phi times its indicator.
+            rows.append(phi.forward(in_square.astype(np.float32)))
         matrix = np.concatenate(rows)
         matrix *= scale[:, np.newaxis]
         return np.ascontiguousarray(matrix.T)
 
-    def _of_readings(self) -> tuple[Doubles, list[Weights]]:
+    def _norms_of_readings(self) -> tuple[Doubles, list[Weights]]:
         """Norms of the sums of readings, (n,), and weights of each level."""
         n = self._cells.size
-        sizes = [min(side * side, n) for side in self.squares.levels]
+        sizes = [min(side * side, n) for side in self.pyramid.sides]
         weights = [Weights(n_inside=size) for size in sizes]
         return np.sqrt(self._count), weights
 
-    def _of_measurements(self, phi: Phi) -> tuple[Doubles, list[Weights]]:
-        """Norms of the sums over squares, (n,), and weights of each level: those that are the least
-        like those of many taxels.
+    def _norms_of_measurements(self, phi: Phi) -> tuple[Doubles, list[Weights]]:
+        """Norms of the sums over squares, (n,), and weights of each level: of its squares, the
+        largest `inside`, and the least `n_inside` and `n_outside`.
         """
-        norms = np.empty(self.squares.n)
+        norms = np.empty(self.pyramid.n)
         weights = []
-        for level, span in enumerate(self.squares.spans):
+        for level, span in enumerate(self.pyramid.spans):
             n_squares = span.stop - span.start
-            is_single = self.squares.levels[level] == 1
+            is_single = self.pyramid.sides[level] == 1
             if not is_single and n_squares * self._exists.size > MOST_WEIGHTS:
                 # Phi' Phi lengthens no vector by more than its largest eigenvalue.
                 norms[span] = phi.lipschitz * np.sqrt(self._count[span])
@@ -488,34 +497,34 @@ class Departures:
 
     def _facts(self, phi: Phi, level: int, n_squares: int) -> Doubles:
         """Norm and `Weights` of the squares of a level, float64 (n_squares, 4)."""
-        square_of_taxel = self.squares.of_cells(level)[self._cells]
+        square_of_taxel = self.pyramid.square_of_cell(level)[self._cells]
         facts = np.zeros((n_squares, 4))
         layout = block_layout(phi)
-        if self.squares.levels[level] > 1 or layout is None:
+        if self.pyramid.sides[level] > 1 or layout is None:
             for begin in range(0, n_squares, AT_ONCE):
                 numbers = np.arange(begin, min(begin + AT_ONCE, n_squares))
-                squares = square_of_taxel == numbers[:, np.newaxis]
-                facts[numbers] = _facts_of(phi, squares)
+                in_square = square_of_taxel == numbers[:, np.newaxis]
+                facts[numbers] = _facts_of(phi, in_square)
             return facts
 
         # Single taxels: those of a block have the same weights in another order, so that its first
         # one stands for all of them.
         begins = np.cumsum(layout.sizes) - layout.sizes
         first_taxels = layout.permutation[begins]
-        squares = np.arange(phi.n) == first_taxels[:, np.newaxis]
-        of_block = _facts_of(phi, squares)
-        of_taxel = np.repeat(of_block, layout.sizes, axis=0)
-        facts[square_of_taxel[layout.permutation]] = of_taxel
+        is_first = np.arange(phi.n) == first_taxels[:, np.newaxis]
+        facts_of_block = _facts_of(phi, is_first)
+        facts_of_taxel = np.repeat(facts_of_block, layout.sizes, axis=0)
+        facts[square_of_taxel[layout.permutation]] = facts_of_taxel
         return facts
 
-    def _excess_of(self, weights: Sequence[Weights]) -> Floats:
-        """Variance of an untouched taxel beyond 0.3408, (n_windows, n), in the mean of frames."""
-        excess = np.zeros((self.n_windows, self.squares.n), dtype=np.float32)
+    def _excess_variance(self, weights: Sequence[Weights]) -> Floats:
+        """`variance_clipped` of each score beyond that of many equal weights, (n_windows, n)."""
+        excess = np.zeros((self.n_windows, self.pyramid.n), dtype=np.float32)
         if not self._clips:
             return excess
         for window in range(self.n_windows):
-            for span, of_level in zip(self.squares.spans, weights, strict=True):
-                variance = variance_clipped(of_level, 2**window, self._z)
+            for span, level_weights in zip(self.pyramid.spans, weights, strict=True):
+                variance = variance_clipped(level_weights, 2**window, self._z)
                 excess[window, span] = max(0.0, variance - CLIPPED)
         return excess
 
@@ -529,18 +538,20 @@ def _inverse(norms: Doubles) -> Floats:
     return inverses.astype(np.float32)
 
 
-def _facts_of(phi: Phi, squares: Mask) -> Doubles:
-    """Norm and `Weights` of sums over squares, bool (k, n): float64 (k, 4)."""
-    measured = phi.forward(squares.astype(np.float32))
+def _facts_of(phi: Phi, in_square: Mask) -> Doubles:
+    """Norm and `Weights` of the scores of k squares, float64 (k, 4); `in_square`: bool (k, n), True
+    for the taxels of each.
+    """
+    measured = phi.forward(in_square.astype(np.float32))
     weights = phi.adjoint(measured)
     powers = np.square(weights, dtype=np.float64)
     total = powers.sum(axis=1)
     norm = np.sqrt(total)
 
-    inside = powers * squares
+    inside = powers * in_square
     share_inside = inside.sum(axis=1) / np.maximum(total, TINY)
     n_inside = _n_equal(inside)
-    n_outside = _n_equal(powers * ~squares)
+    n_outside = _n_equal(powers * ~in_square)
     return np.stack([norm, share_inside, n_inside, n_outside], axis=1)
 
 
@@ -581,8 +592,8 @@ class Windows:
         self, scores: Floats, limits: Floats, noise: Doubles, one_sided: bool = False
     ) -> Mask:
         """Add the scores of a frame, (k, n); return True for each patch of which a window that ends
-        with it exceeds its limits, as of `Bounds.squares`. `noise` is the variance of a reference,
-        in that of a frame, (k,): its error is the same in all frames of a row subset.
+        with it exceeds its limits, as of `Bounds.scores`. `noise` is the variance of a reference as
+        a multiple of that of a frame, (k,).
         """
         self._n_frames += 1
         total = scores

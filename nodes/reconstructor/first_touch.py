@@ -96,7 +96,7 @@ class TouchTest:
 
     def windows(self, n_patches: int = 1) -> Windows:
         """Windows of the scores of some patches."""
-        n = self.departures.squares.n
+        n = self.departures.pyramid.n
         return Windows(n_patches, n, self.n_windows, len(self.subsets))
 
 
@@ -191,7 +191,7 @@ class TouchWatch:
         noise = test.variance / (test.variance + step**2 / 12)
         scores = departures.scores(difference, subset)
         scores *= np.float32(np.sqrt(noise))
-        limits = test.bounds.squares
+        limits = test.bounds.scores
         alarms = self._windows.alarms(scores, limits, self._noise, one_sided=True)
         if self._below is not None:
             below = self._below.alarms(-scores, limits, self._noise, one_sided=True)

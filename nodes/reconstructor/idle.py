@@ -50,7 +50,7 @@ class IdleWatch:
             skin, FALSE_ALARMS, phis, n_windows=N_WINDOWS, most=MOST
         )
         n_subsets = len(phis)
-        n_scores = self._departures.squares.n
+        n_scores = self._departures.pyramid.n
         self._subsets = {phi.fingerprint: k for k, phi in enumerate(phis)}
         self._windows = Windows(n_patches, n_scores, N_WINDOWS, n_subsets)
         self._bounds = self._departures.no_bounds(n_patches)
@@ -143,7 +143,7 @@ class IdleWatch:
         # Variance of the reference, in that of a frame.
         noise = 1 / np.maximum(n, 1)
         scores = departures.scores(difference, subset)
-        alarms = self._windows.alarms(scores, self._bounds.squares, noise)
+        alarms = self._windows.alarms(scores, self._bounds.scores, noise)
         energy = departures.energy(difference, self._bounds)
         alarms |= energy > self._bounds.energy * (1 + noise)
         alarms &= is_compared

@@ -258,7 +258,7 @@ def _alarms(test: TouchTest, windows: Windows, difference: Floats, subset: int) 
     """
     scores = test.departures.scores(difference, subset)
     quiet = np.zeros(len(difference))
-    limits = test.bounds.squares
+    limits = test.bounds.scores
     alarms = windows.alarms(scores, limits, quiet, one_sided=True)
     energy = test.departures.energy(difference, test.bounds)
     alarms |= energy > test.bounds.energy
@@ -293,7 +293,7 @@ def _by_taxels(truth: Floats, way: str, rng: np.random.Generator) -> Indices:
         scans = Departures(noisy_skin(SIDE), chance * n, n_windows=2, one_sided=True)
         untouched = np.zeros((1, SIDE, SIDE), dtype=np.float32)
         bounds = scans.bounds(untouched)
-        windows = Windows(n_presses, scans.squares.n, 2)
+        windows = Windows(n_presses, scans.pyramid.n, 2)
         expected = np.float32(CLIPPED_MEAN * NoiseModel().sigma_end)
 
     begins: Indices = rng.integers(2 * n, 4 * n, size=n_presses)
@@ -314,7 +314,7 @@ def _by_taxels(truth: Floats, way: str, rng: np.random.Generator) -> Indices:
         grids = (readings - expected).reshape(-1, SIDE, SIDE)
         scores = scans.scores(grids)
         quiet = np.zeros(n_presses)
-        alarms = windows.alarms(scores, bounds.squares, quiet, one_sided=True)
+        alarms = windows.alarms(scores, bounds.scores, quiet, one_sided=True)
         _note(times, alarms, (scan + 1) * n - begins)
     return times
 

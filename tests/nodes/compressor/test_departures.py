@@ -9,7 +9,7 @@ from scipy.stats import norm
 
 from sparseskin.nodes.compressor.departures import (
     Departures,
-    Squares,
+    SquarePyramid,
     Weights,
     Windows,
     cumulants_clipped,
@@ -63,16 +63,16 @@ def test_scores_are_matched_filters_of_unit_variance(kind, n_rows, n_cols, seed)
     phi.lay_out(exists)
     subsets = row_subsets(phi, None)
 
-    squares = Squares(exists.shape)
+    pyramid = SquarePyramid(exists.shape)
     rows = np.concatenate([
-        squares.of_cells(level)[exists.reshape(-1)]
+        pyramid.square_of_cell(level)[exists.reshape(-1)]
         == np.arange(span.stop - span.start)[:, np.newaxis]
-        for level, span in enumerate(squares.spans)
+        for level, span in enumerate(pyramid.spans)
     ]).astype(np.float64)  # fmt: skip
     difference = rng.normal(size=(2, phi.m)).astype(np.float32)
     for most in (None, 1):
         departures = Departures(skin(exists.shape, exists), 0.01, subsets, most=most)
-        tail = slice(-departures.squares.n, None)
+        tail = slice(-departures.pyramid.n, None)
         for k, subset in enumerate(subsets):
             filters = rows @ subset.dense().T
             norms = np.linalg.norm(filters @ subset.dense(), axis=1)
@@ -111,14 +111,14 @@ def test_noise_alarms_at_most_as_often_as_stated(ratio, one_sided):
     rng = np.random.default_rng(5)
     mean = np.full(n, NOISE.sigma_end / np.sqrt(2 * np.pi), dtype=np.float32)
     k = 100
-    windows = Windows(k, departures.squares.n, 4)
+    windows = Windows(k, departures.pyramid.n, 4)
     n_alarms = 0
     for frame in range(60):
         phi = phis[frame % len(phis)]
         readings = NOISE.apply(np.zeros((k, n), dtype=np.float32), rng)
         difference = phi.forward(readings - mean)
         scores = departures.scores(difference, frame % len(phis))
-        alarms = windows.alarms(scores, bounds.squares, np.zeros(k), one_sided)
+        alarms = windows.alarms(scores, bounds.scores, np.zeros(k), one_sided)
         alarms |= departures.energy(difference, bounds) > bounds.energy
         n_alarms += np.count_nonzero(alarms)
     expected = chance * 60 * k

@@ -13,7 +13,7 @@ from sparseskin.messages import Contacts, Measurements, PhiState, Reconstruction
 from sparseskin.nodes.clock import ManualClock
 from sparseskin.nodes.compressor.change import FALSE_SENDS, ChangeWatch
 from sparseskin.nodes.compressor.departures import (
-    Squares,
+    SquarePyramid,
     Weights,
     energy_bound,
     variance_clipped,
@@ -59,10 +59,10 @@ class Edge:
 @given(st.integers(1, 40), st.integers(1, 40))
 def test_squares_sum_all_taxels_at_every_level(n_rows, n_cols):
     grid = np.arange(n_rows * n_cols, dtype=np.float32).reshape(1, n_rows, n_cols)
-    squares = Squares((n_rows, n_cols))
-    sums = squares.sums(grid)[0]
-    assert sums.size == squares.n
-    for side, span in zip(squares.levels, squares.spans, strict=True):
+    pyramid = SquarePyramid((n_rows, n_cols))
+    sums = pyramid.sums(grid)[0]
+    assert sums.size == pyramid.n
+    for side, span in zip(pyramid.sides, pyramid.spans, strict=True):
         assert sums[span].sum() == grid.sum()
         assert sums[span][0] == grid[0, :side, :side].sum()
 
