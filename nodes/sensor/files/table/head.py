@@ -62,7 +62,7 @@ def read_head(file: File) -> TableHead:
     _find_numeric(head)
     _find_kind(head, bool(file.parts))
     if head.is_plain:
-        _ask_for_axes(head)
+        _check_axes(head)
         head.source = source_column(head)
     # What is found in the times has to be that of one skin.
     source = head.source
@@ -101,10 +101,11 @@ def _sampled(file: File) -> TableHead:
     texts = _first_lines(file)
     n_skipped = file.layout.skip
     separator = ""
-    excel = EXCEL_LINE.fullmatch(texts[0].strip()) if texts else None
-    if excel is not None:
-        separator = excel[1]
-        n_skipped = max(n_skipped, 1)
+    if texts:
+        excel = EXCEL_LINE.fullmatch(texts[0].strip())
+        if excel is not None:
+            separator = excel[1]
+            n_skipped = max(n_skipped, 1)
     # The last two thirds: a preamble stands before them.
     bodies = [text for text in texts[n_skipped:] if is_body(text)]
     if not bodies:
@@ -127,7 +128,8 @@ def _sampled(file: File) -> TableHead:
 
     # A separator at the end of each line begins no cell.
     ends_empty = all(cells[-1] == "" for cells in by_width[width])
-    width -= width > 1 and ends_empty and dialect.separator != " "
+    if width > 1 and ends_empty and dialect.separator != " ":
+        width -= 1
     dialect = dialect._replace(n_cells=width)
     head = TableHead(file.layout, file.name, dialect, width)
     head.n_before = n_skipped
@@ -246,7 +248,7 @@ def _block_heights(head: TableHead) -> list[int]:
     return [height for height in heights if height]
 
 
-def _ask_for_axes(head: TableHead) -> None:
+def _check_axes(head: TableHead) -> None:
     """Raise UnstatedError if lines have names of taxels, as s0, s1, and are as many as these where
     their number is stated.
     """
@@ -264,7 +266,9 @@ def _ask_for_axes(head: TableHead) -> None:
     lines = f"lines are named {shown(names[0])}, {shown(names[-1])}"
     ways = "state axes=taxels,frames, or axes=frames,taxels if a line is a frame"
     # Of so many lines as taxels are stated, the names are those of taxels.
-    options = [{"axes": "taxels,frames"}] if n_stated else []
+    options: list[dict[str, str]] = []
+    if n_stated:
+        options.append({"axes": "taxels,frames"})
     fault = f"{lines}: which are taxels is not stated; {ways}"
     raise UnstatedError(f"{head.name}: {fault}", *options)
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 
@@ -22,24 +23,37 @@ RISING = 8
 """Least length of a line that is asked about if it rises. Derived: one of 40,000 random frames
 does."""
 FORMED = 4
-"""The same of one that rises and has another number of decimals than all lines below, and least
-number of these. Chosen."""
+"""Least length of a line that is a header as it rises and no line below has as many decimals; and
+least number of these lines. Chosen."""
 MAX_LEVELS = 4
 """Most lines of which each has a part of the names of columns."""
 
 
 def find_data(head: TableHead) -> None:
-    """Find the lines of data, and the names above them."""
+    """Find the lines of data, and what stands above and below them.
+
+    Sets `data`, `names`, `headers`, `units`, `is_labelled`, `has_summary`, and adds to `notes`.
+    Raises UnstatedError if a line may be a frame or label the columns.
+    """
     lines = [line for line in head.raw[head.n_before :] if is_body(line.text)]
     lines = [line for line in lines if len(line.cells) == head.width]
     head.names = ("",) * head.width
     if head.dialect.names:
-        head.names = ("",) * head.dialect.has_prefix + head.dialect.names
+        head.names = head.dialect.names
+        if head.dialect.has_prefix:
+            head.names = ("", *head.dialect.names)
         head.data = lines
         return
+
     lines = _without_summary(head, lines)
-    # A spreadsheet writes a title with as many cells as the table, most of them empty.
-    while len(lines) > 1 and not _find_levels(head, lines) and _is_title(lines[0]):
+    while len(lines) > 1:
+        levels = _find_levels(head, lines)
+        if levels is not None:
+            _apply_levels(head, lines, levels)
+            break
+        # A spreadsheet writes a title with as many cells as the table, most of them empty.
+        if not _is_title(lines[0]):
+            break
         lines = lines[1:]
     if not head.headers:
         _find_header(head, lines)
@@ -56,7 +70,9 @@ def _without_summary(head: TableHead, lines: list[Line]) -> list[Line]:
     words = [word for word in words if word]
     # Words that come again are labels, as of a grip with most force.
     head.has_summary = len(set(words)) == len(words)
-    return lines[:n] if head.has_summary else lines
+    if head.has_summary:
+        return lines[:n]
+    return lines
 
 
 def _is_title(line: Line) -> bool:
@@ -66,48 +82,79 @@ def _is_title(line: Line) -> bool:
     return is_text and 2 * sum(map(bool, rest_of_line)) < len(rest_of_line)
 
 
-def _find_levels(head: TableHead, lines: Sequence[Line]) -> bool:
-    """Find names of which several lines have a part each, as of pandas or of cells of a spreadsheet
-    that are merged. False if there are none.
+class Levels(NamedTuple):
+    """Names of columns of which several lines have a fragment each."""
+
+    names: list[str]
+    n_lines: int
+    word: str  # "row", "col" ... in the first cell of the last line, before numbers; or ""
+
+
+def _find_levels(head: TableHead, lines: Sequence[Line]) -> Levels | None:
+    """Names of which the first lines have a fragment each, as of pandas or of merged cells of a
+    spreadsheet; None if there are none.
     """
     # The first column may be an index, whose cell names the level.
     names = ["index"] + [""] * (head.width - 1)
     for n, line in enumerate(lines[:MAX_LEVELS], start=1):
         cells = _filled(line.cells)
-        if not _are_parts(names, cells):
-            return False
-        level = cells[0] if cells[0].lower() in (*ROW_WORDS, *COL_WORDS) else ""
-        parts = [f"{level}{cell}" if cell.isdecimal() else cell for cell in cells]
-        if n > 1:
-            pairs = zip(names, parts, strict=True)
-            parts = ["_".join(filter(None, pair)) for pair in pairs]
-        names = parts
-        is_clear = len(set(names)) == head.width
-        # Names that are clear by themselves stand below a title.
-        if is_clear and len(set(cells)) < head.width and 1 < n < len(lines):
-            break
-        if is_clear:
-            return False
-    else:
-        return False
+        if not _are_fragments(names, cells):
+            return None
+        word = ""
+        if cells[0].lower() in (*ROW_WORDS, *COL_WORDS):
+            word = cells[0]
+        names = _with_fragments(names, cells, word, is_first=n == 1)
+        if len(set(names)) < head.width:
+            continue
 
-    # Frames of a few small numbers count, too: only texts, or an index below, make them names.
-    has_text = any(cell and not is_value(cell) for cell in lines[0].cells)
-    begins = [line.cells[0] for line in lines[: n + 1]]
-    if not has_text and (any(begins[:n]) or not begins[n]):
-        return False
-    head.data = list(lines[n:])
+        # Each column has a name of its own now. Cells that are names without the lines above stand
+        # below a title.
+        are_names = len(set(cells)) == head.width
+        if are_names or n in (1, len(lines)) or not _are_above_data(lines, n):
+            return None
+        return Levels(names, n, word)
+    return None
+
+
+def _with_fragments(
+    names: Sequence[str], cells: Sequence[str], word: str, is_first: bool
+) -> list[str]:
+    """Names with the fragments of the next line behind them; a word stands before its numbers."""
+    fragments = list(cells)
+    for k, cell in enumerate(cells):
+        if cell.isdecimal():
+            fragments[k] = f"{word}{cell}"
+    if is_first:
+        return fragments
+    pairs = zip(names, fragments, strict=True)
+    return ["_".join(filter(None, pair)) for pair in pairs]
+
+
+def _are_above_data(lines: Sequence[Line], n: int) -> bool:
+    """True if the first n lines have a text, or an index begins below them."""
+    # Frames of a few small numbers count, too: without either they are no names.
+    if any(cell and not is_value(cell) for cell in lines[0].cells):
+        return True
+    *begins_above, begin_below = [line.cells[0] for line in lines[: n + 1]]
+    return bool(begin_below) and not any(begins_above)
+
+
+def _apply_levels(head: TableHead, lines: Sequence[Line], levels: Levels) -> None:
+    """Set the names of several lines, and the data below."""
+    names = list(levels.names)
+    n = levels.n_lines
+    data = list(lines[n:])
     # The line below may name the index.
-    if len(head.data) > 1 and _is_title(head.data[0]):
-        names[0] = head.data[0].cells[0]
+    if len(data) > 1 and _is_title(data[0]):
+        names[0] = data[0].cells[0]
         n += 1
-        head.data = head.data[1:]
-    elif level:
+        data = data[1:]
+    elif levels.word:
         names[0] = ""
+    head.data = data
     head.names = tuple(names)
     head.headers = tuple(line.text for line in lines[:n])
     head.notes += (f"the names are those of {n} lines",)
-    return True
 
 
 def _filled(cells: Sequence[str]) -> list[str]:
@@ -118,7 +165,7 @@ def _filled(cells: Sequence[str]) -> list[str]:
     return filled
 
 
-def _are_parts(names: Sequence[str], cells: Sequence[str]) -> bool:
+def _are_fragments(names: Sequence[str], cells: Sequence[str]) -> bool:
     """True if cells are texts, or numbers that count the columns of each name above them."""
     groups: dict[str, dict[str, None]] = {}
     for name, cell in zip(names, cells, strict=True):
@@ -136,31 +183,51 @@ def _find_header(head: TableHead, lines: list[Line]) -> None:
         lines = lines[1:]
     top, *later = lines
     cells = top.cells
+    # The top line may stand above each frame of a grid.
+    below = [line for line in later if line.text != top.text]
+    rows = [line.cells for line in below]
+    is_repeated = 0 < len(below) < len(later)
 
-    # Numbers above lines of taxels are the times.
+    # Of tables of whole numbers a top line is read as:
+    #
+    #   0,1,2,3        labels of the columns, and their names
+    #   0.5,1.5,2.5    labels, but no names: positions, whose digits count nothing
+    #   s0,s1,s2       names, no labels
+    #   4,7,9          a frame
     counts = _count_columns(cells)
-    # Labels may stand above each frame of a grid.
-    rows = [line.cells for line in later if line.text != top.text]
-    is_repeated = counts and 0 < len(rows) < len(later)
-    is_labelled = is_repeated or (bool(rows) and _are_labels(cells, rows))
-    is_labelled = is_labelled and (counts or not head.layout.axes)
-    head.is_labelled = is_labelled
-    if is_labelled or _is_header(cells, rows):
-        # Positions are no names: their digits count nothing.
-        if not is_labelled or counts:
+    head.is_labelled = _is_label_line(head, cells, rows, is_repeated)
+    if head.is_labelled or _is_header(cells, rows):
+        if counts or not head.is_labelled:
             head.names = tuple(cell.strip() for cell in cells)
-        if is_labelled:
+        if head.is_labelled:
             head.notes += (f"the line {shown(top.text)} labels the columns",)
         head.headers = (top.text,)
-        head.data = [line for line in later if line.text != top.text]
+        head.data = below
         _drop_units(head)
-    else:
-        _ask_for_label(head, top, rows)
-        head.data = lines
-        _name_by_line_before(head, top.number)
-        if head.width > 1 and counts:
-            note = "the first line counts: it is read as a frame; skip=1 if it is names"
-            head.notes += (note,)
+        return
+
+    _check_no_label(head, top, rows)
+    head.data = lines
+    _name_by_line_before(head, top.number)
+    if head.width > 1 and counts:
+        note = "the first line counts: it is read as a frame; skip=1 if it is names"
+        head.notes += (note,)
+
+
+def _is_label_line(
+    head: TableHead,
+    cells: Sequence[str],
+    rows: Sequence[Sequence[str]],
+    is_repeated: bool,
+) -> bool:
+    """True if a line has the numbers or the places of the columns below."""
+    counts = _count_columns(cells)
+    # Where the axes are stated, other rising numbers above lines of taxels are the times.
+    if head.layout.axes and not counts:
+        return False
+    if counts and is_repeated:
+        return True
+    return bool(rows) and _are_labels(cells, rows)
 
 
 def _drop_units(head: TableHead) -> None:
@@ -212,32 +279,38 @@ def _are_labels(cells: Sequence[str], rows: Sequence[Sequence[str]]) -> bool:
     if not _rises(labels):
         return False
 
-    parts = _parts(rows)
-    if all("." in label for label in labels) and not any(map(_decimals, parts)):
+    slices = _slices_without_time(rows)
+    if all("." in label for label in labels) and not any(map(_decimals, slices)):
         return True
-    forms = list(map(_decimals, _parts([labels])))
-    is_alike = any(form in forms for form in map(_decimals, parts))
+    decimals_of_labels = list(map(_decimals, _slices_without_time([labels])))
+    is_alike = any(form in decimals_of_labels for form in map(_decimals, slices))
     if not is_alike and len(rows) >= FORMED <= len(labels):
         return True
     # Frames of a test pattern go on so.
     is_long = len(labels) >= EVEN or bool(begin)
-    return is_long and _is_even(labels) and not any(map(_is_even, parts))
+    return is_long and _is_even(labels) and not any(map(_is_even, slices))
 
 
-def _ask_for_label(head: TableHead, first: Line, rows: Sequence[Sequence[str]]) -> None:
-    """Raise UnstatedError if a long line of numbers rises, and no line below does."""
+def _check_no_label(
+    head: TableHead, first: Line, rows: Sequence[Sequence[str]]
+) -> None:
+    """Raise UnstatedError if a long line of numbers rises, and no line below does: it may be a
+    frame, or label the columns.
+    """
     cells = first.cells
     if head.layout.axes or not rows or len(cells) < RISING or not _rises(cells):
         return
-    if not any(map(_rises, _parts(rows))):
+    if not any(map(_rises, _slices_without_time(rows))):
         fault = f"line {first.number} rises, as none below"
         ways = "skip if it labels the columns, axes=frames,taxels if it is a frame"
         raise UnstatedError(f"{head.name}: {fault}: state {ways}")
 
 
-def _parts(rows: Sequence[Sequence[str]]) -> list[Sequence[str]]:
-    """Rows, and what stands in them beside a time at an end, which has a form of its own."""
-    return [part for row in rows for part in (row, row[1:], row[:-1])]
+def _slices_without_time(rows: Sequence[Sequence[str]]) -> list[Sequence[str]]:
+    """Each row whole, without its first, and without its last cell: one of these may be a time,
+    which rises and has decimals of its own.
+    """
+    return [cells for row in rows for cells in (row, row[1:], row[:-1])]
 
 
 def _rises(cells: Sequence[str]) -> bool:
@@ -274,18 +347,26 @@ def _name_by_line_before(head: TableHead, first_number: int) -> None:
         return
     text = earlier[-1].strip()
     mark = comment_mark(text)
-    names = head.dialect.cells(text.lstrip("#%/ ") if mark else text)
+    if mark:
+        text = text.lstrip("#%/ ")
+    names = head.dialect.cells(text)
     if len(names) == head.width - 1:
         names = ["", *names]
-    names = names[: max(head.width, len(names) - 1)]
+    elif len(names) == head.width + 1:
+        names = names[:-1]
     n_indexed = sum(bool(re.search(r"\d", name)) for name in names)
-    has_names = n_indexed or any(map(is_time_name, names))
-    # A title of so many words has no numbers in most of them.
-    are_names = has_names if mark else 2 * n_indexed > len(names)
+    if mark:
+        are_names = n_indexed > 0 or any(map(is_time_name, names))
+    else:
+        # A title of so many words has no numbers in most of them.
+        are_names = 2 * n_indexed > len(names)
     if (
         len(names) == head.width
         and are_names
         and not any(map(is_value, filter(None, names)))
     ):
         head.names = tuple(names)
-        head.headers = () if mark else (earlier[-1],)
+        head.headers = ()
+        # Comments are no lines of the table.
+        if not mark:
+            head.headers = (earlier[-1],)
