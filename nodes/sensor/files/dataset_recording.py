@@ -130,7 +130,9 @@ class DatasetRecording(Recording):
 
     @property
     def _n_frames(self) -> int:
-        return 1 if self._frame_axis is None else self._dataset.sides[self._frame_axis]
+        if self._frame_axis is None:
+            return 1
+        return self._dataset.sides[self._frame_axis]
 
     def _numbers(self, size: int) -> Iterator[npt.NDArray[Any]]:
         """Blocks of at most `size` frames, (k, *sides of a frame)."""
@@ -143,7 +145,9 @@ class DatasetRecording(Recording):
                 block = block.view(np.uint8)
             for begin in range(0, len(block), size):
                 part = block[begin : begin + size]
-                yield self._unpacked(part) if self._packing else part
+                if self._packing:
+                    part = self._unpacked(part)
+                yield part
 
     def _unpacked(self, numbers: npt.NDArray[Any]) -> npt.NDArray[Any]:
         """Numbers as the attributes of their array state them: NaN for its fill value, times its
@@ -205,7 +209,9 @@ class DatasetRecording(Recording):
                 self._frame_axis = at
             else:
                 # A label that states the role may state more, as xyz.
-                label = axis.label if label_role(axis) == role else role
+                label = role
+                if label_role(axis) == role:
+                    label = axis.label
                 self._items.append(axis._replace(label=label))
 
         about = f"{self._dataset.text}: axes {','.join(roles)}"
@@ -243,7 +249,9 @@ class DatasetRecording(Recording):
         if len(sides) < 2 and len(axes) < 4 and n_first not in sides:
             return True
         is_stated = bool(self._layout.axes) or self._layout.n_stated is not None
-        n_least = 1 if is_stated else MAX_PART
+        n_least = MAX_PART
+        if is_stated:
+            n_least = 1
         return n_first > n_least * max(sides) or n_first >= MAX_ROWS > max(sides)
 
     def _find_time_column(self) -> None:
@@ -273,7 +281,9 @@ class DatasetRecording(Recording):
     def _beside(self, name: str) -> npt.NDArray[Any] | None:
         """The array of a property."""
         path = self._arrays.nearest(self._key, name)
-        return self._arrays.property_array(path) if path else None
+        if not path:
+            return None
+        return self._arrays.property_array(path)
 
     def _number(self, name: str) -> float | None:
         """A number above 0, of an array of its own or an attribute."""
@@ -333,7 +343,9 @@ class DatasetRecording(Recording):
                 raise SourceError(f"{where}: expected one text, e.g. np.array('N')")
             return text_of(unit)
         text = unit_text(self._attributes)
-        return None if text.lower() in NO_UNITS else text
+        if text.lower() in NO_UNITS:
+            return None
+        return text
 
     def _time_unit(self) -> str:
         """Unit of the times as the file states it, "" where it does not."""
@@ -345,8 +357,9 @@ class DatasetRecording(Recording):
         if dataset.dtype.kind in "US":
             long_axis = dataset.sides.index(max(dataset.sides))
             begin = next(self._arrays.blocks(self._time_key, long_axis, 1))
-            is_iso = times.iso_ns(text_of(begin.reshape(-1)[0])) is not None
-            return times.ISO if is_iso else times.CLOCK_UNIT
+            if times.iso_ns(text_of(begin.reshape(-1)[0])) is not None:
+                return times.ISO
+            return times.CLOCK_UNIT
 
         # As "seconds since 2026-03-12": the unit comes first.
         word = unit_text(dataset.attributes).lower().partition(" ")[0]
@@ -377,7 +390,9 @@ class DatasetRecording(Recording):
         if math.prod(dataset.sides) == math.prod(sides):
             mask = self._arrays.property_array(path).squeeze()
             # Of a frame that is a list of taxels, the mask may be a grid.
-            order: Literal["C", "F"] = "F" if self._layout.order == "columns" else "C"
+            order: Literal["C", "F"] = "C"
+            if self._layout.order == "columns":
+                order = "F"
             forms = [mask, mask.T, mask.ravel(order)]
         exists = next((form for form in forms if form.shape == sides), None)
         if exists is None:
@@ -425,7 +440,9 @@ def checked_times(numbers: npt.NDArray[Any], where: str) -> list[int | float]:
     """
     kind = numbers.dtype.kind
     if kind in "Mm":
-        unit = "datetime64[ns]" if kind == "M" else "timedelta64[ns]"
+        unit = "timedelta64[ns]"
+        if kind == "M":
+            unit = "datetime64[ns]"
         if np.isnat(numbers).any():
             raise SourceError(f"{where}: a time is missing (NaT)")
         numbers = numbers.astype(unit).astype(np.int64)

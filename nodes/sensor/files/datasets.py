@@ -120,7 +120,9 @@ class ArrayFile(ABC):
         group = key
         while group:
             group = group.rpartition(self.separator)[0]
-            path = f"{group}{self.separator}{name}" if group else name
+            path = name
+            if group:
+                path = f"{group}{self.separator}{name}"
             if path in self.datasets:
                 return path
         return ""
@@ -160,7 +162,9 @@ def frames_key(arrays: ArrayFile, layout: Layout) -> str:
     kind = "arrays of frames (frames, rows, columns)"
     if topic:
         kind = f"arrays named {shown(topic)}"
-    candidates = so_named if topic and so_named else _candidates(arrays, layout)
+    candidates = so_named
+    if not topic or not so_named:
+        candidates = _candidates(arrays, layout)
     grids = [key for key in candidates if arrays.datasets[key].n_axes > 2]
 
     # One grid among tables is the skin, unless a table is as large.
@@ -197,7 +201,9 @@ def _rivals(arrays: ArrayFile, grid: str, keys: Sequence[str]) -> list[str]:
             continue
         table_sides = [side for side in arrays.datasets[key].sides if side > 1]
         shared = [side for side in table_sides if side in sides]
-        n_frames = shared[0] if shared else max(table_sides)
+        n_frames = max(table_sides)
+        if shared:
+            n_frames = shared[0]
         n_columns = math.prod(table_sides) // n_frames
         if n_columns > MAX_STATE or n_columns * n_frames >= math.prod(sides):
             rivals.append(key)
@@ -248,7 +254,9 @@ def times_key(
         note = f"not read as times of {n_frames} frames: {sizes}"
         if keys and layout.time:
             raise SourceError(f"{arrays.name}: time: {note}")
-        return "", (note,) if keys else ()
+        if not keys:
+            return "", ()
+        return "", (note,)
 
     # In the same group, or with the same word at its begin: left_t beside left_pad.
     nearness = {key: _common_words(key, frames) for key in as_long}
@@ -257,7 +265,9 @@ def times_key(
         fault = f"{arrays.name}: {len(nearest)} arrays may be the times of the frames"
         raise UnstatedError.between(fault, "time", nearest, "time=none")
     ignored = [printable(key) for key in as_long if key not in nearest]
-    notes = (f"not read as times: {', '.join(ignored)}",) if ignored else ()
+    notes: tuple[str, ...] = ()
+    if ignored:
+        notes = (f"not read as times: {', '.join(ignored)}",)
     return nearest[0], notes
 
 

@@ -66,8 +66,10 @@ class UnstatedError(SourceError):
 
 def listed(texts: Sequence[str], separator: str = ", ") -> str:
     """The first of some texts, at most `MAX_WAYS`: a file may have thousands of columns."""
-    ends = ["..."] if len(texts) > MAX_WAYS else []
-    return separator.join([*texts[:MAX_WAYS], *ends])
+    shortened = list(texts[:MAX_WAYS])
+    if len(texts) > MAX_WAYS:
+        shortened.append("...")
+    return separator.join(shortened)
 
 
 @dataclass(frozen=True)

@@ -99,7 +99,9 @@ def matching(
             k for k, name in enumerate(names) if fnmatchcase(name, part)
         ]
     if not columns:
-        header = listed([*map(printable, names)]) if any(names) else "no header"
+        header = "no header"
+        if any(names):
+            header = listed([*map(printable, names)])
         allowed = "allowed: names, patterns as s*, numbers from 1 as 2-65"
         raise SourceError(
             f"{where}: {key}: {part[:40]!r} is none of {n} columns ({header}); {allowed}"
@@ -120,7 +122,9 @@ def _families(names: Sequence[str], usable: Sequence[int]) -> dict[Family, list[
 def _channel_of(name: str) -> str:
     """The channel that a name states, "" for none."""
     axis = AXIS.search(name.lower())
-    return axis[1] if axis else ""
+    if axis is None:
+        return ""
+    return axis[1]
 
 
 def pattern_of(name: str) -> str:
@@ -168,7 +172,9 @@ def _chosen(
     if n_stated is not None and not ways:
         needed = f"n_rows x n_cols = {layout.n_rows} x {layout.n_cols} needs {n_stated}"
         hint = "state columns, or another shape"
-        forms = LONG_FORMS.get(len(names), ()) if not any(names) else ()
+        forms: Sequence[str] = ()
+        if not any(names):
+            forms = LONG_FORMS.get(len(names), ())
         if forms:
             hint += f", or axes={forms[0]} if a line is of one taxel"
         options = [{"axes": form} for form in forms]
@@ -205,7 +211,9 @@ def _channels(families: dict[Family, list[int]]) -> dict[str, list[int]]:
     # An accelerometer beside a skin has letters, too, but fewer of them.
     sizes = {len(columns) for columns in by_channel.values()}
     has_several = len(by_channel) > 1 and NORMAL in by_channel
-    return by_channel if has_several and len(sizes) == 1 else {}
+    if has_several and len(sizes) == 1:
+        return by_channel
+    return {}
 
 
 def _placed(

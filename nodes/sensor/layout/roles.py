@@ -136,7 +136,9 @@ def _labelled(layout: Layout, axes: Sequence[Axis], has_frames: bool) -> list[Ro
     if not has_frames:
         stated = tuple(role for role in stated if role != FRAMES)
     if len(stated) == len(axes):
-        return [stated] if _are_sound(axes, stated) else []
+        if not _are_sound(axes, stated):
+            return []
+        return [stated]
     return [
         roles
         for roles in _assignments(axes, has_frames)
@@ -207,12 +209,16 @@ def label_role(axis: Axis) -> str:
 
 
 def _frame_axis(roles: Roles) -> int | None:
-    return roles.index(FRAMES) if FRAMES in roles else None
+    if FRAMES not in roles:
+        return None
+    return roles.index(FRAMES)
 
 
 def _n_frames(axes: Sequence[Axis], roles: Roles) -> int | None:
     axis = _frame_axis(roles)
-    return None if axis is None else axes[axis].size
+    if axis is None:
+        return None
+    return axes[axis].size
 
 
 def _cost(layout: Layout, axes: Sequence[Axis], roles: Roles) -> float:

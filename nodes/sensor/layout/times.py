@@ -132,7 +132,9 @@ def rate_of(name: str, number: float, unit: str = "") -> float:
         return 0.0
     # Of a time between frames, the unit may stand behind the name.
     period_unit = named_unit(f"_{period[1] or unit or 's'}")
-    return 1e9 / (number * NS[period_unit]) if period_unit else 0.0
+    if not period_unit:
+        return 0.0
+    return 1e9 / (number * NS[period_unit])
 
 
 def are_likely(numbers: npt.NDArray[Any], max_uneven: float = math.inf) -> bool:
@@ -284,7 +286,9 @@ def unit_of(times: Sequence[float], where: str) -> str:
     )
     fault = f"{where}: the unit of the times is not stated"
     # Days, of a spreadsheet or of MATLAB, where nothing else is usual.
-    options = [{"time_unit": "d"}] if [*usual] == ["d"] else []
+    options: list[dict[str, str]] = []
+    if [*usual] == ["d"]:
+        options.append({"time_unit": "d"})
     raise UnstatedError(f"{fault}: state {ways or 'time_unit'}", *options)
 
 

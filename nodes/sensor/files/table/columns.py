@@ -206,7 +206,9 @@ def _time_at_an_end(head: TableHead) -> int | None:
     # In a few lines a reading may rise, too, but not in even steps.
     are_clear = all(rise(head.numbers(k), MAX_UNEVEN) for k in rising.values())
     if len(rising) > 1 or not are_clear:
-        verb = "rise" if len(rising) > 1 else "rises"
+        verb = "rises"
+        if len(rising) > 1:
+            verb = "rise"
         fault = f"{head.name}: the {' and the '.join(rising)} column {verb}"
         raise UnstatedError.between(fault, "time", [*rising], "columns")
     # A column 0, 1, 2, ... may count the lines.
@@ -227,7 +229,9 @@ def _ask_for_times(head: TableHead) -> None:
 
     A column whose name has a number, or that is stated, is a taxel; one that rises by 1 counts.
     """
-    n_least = FEW_RISING if any(head.names) else RISING
+    n_least = RISING
+    if any(head.names):
+        n_least = FEW_RISING
     if len(head.data) < n_least:
         return
     taxels = stated_columns(head.layout.columns, head.names, head.width, head.name)
@@ -239,7 +243,9 @@ def _ask_for_times(head: TableHead) -> None:
     # Where all columns rise, it is the load that does.
     if not rising or len(rising) == len(head.numeric):
         return
-    columns = "column rises" if len(rising) == 1 else "columns rise"
+    columns = "columns rise"
+    if len(rising) == 1:
+        columns = "column rises"
     fault = f"{head.name}: {len(rising)} {columns} in all lines"
     raise which_times(fault, _keys(head, rising), len(head.data))
 

@@ -69,7 +69,9 @@ def long_columns(head: TableHead) -> LongColumns | None:
 
     def only(words: Sequence[str], columns: Sequence[int]) -> int | None:
         fitting = [k for k in columns if names[k] in words]
-        return fitting[0] if len(fitting) == 1 else None
+        if len(fitting) != 1:
+            return None
+        return fitting[0]
 
     row = only((*ROW_WORDS, "i"), head.numeric)
     col = only((*COL_WORDS, "j"), head.numeric)
@@ -77,11 +79,15 @@ def long_columns(head: TableHead) -> LongColumns | None:
     taxel = only(TAXEL_WORDS, head.numeric)
     if taxel is None:
         taxel = only(TAXEL_WORDS, range(head.width))
-    columns = [taxel] if row is None and col is None else [row, col]
+    columns = [row, col]
+    if row is None and col is None:
+        columns = [taxel]
     frames = [k for k in head.numeric if names[k] in FRAME_WORDS]
     frames += [k for k in range(head.width) if is_time_name(names[k])]
     unused = [k for k in head.numeric if k not in (*columns, *frames)]
-    value = unused[0] if len(unused) == 1 else only(VALUE_WORDS, unused)
+    value = only(VALUE_WORDS, unused)
+    if len(unused) == 1:
+        value = unused[0]
     if not frames or value is None or None in columns:
         return None
     return LongColumns(frames[0], tuple(k for k in columns if k is not None), value)
@@ -106,7 +112,9 @@ class LongFrames:
         keys = head.cells(columns.frame)
         begins = [k for k, key in enumerate(keys) if k == 0 or key != keys[k - 1]]
         #: Lines of the first frame.
-        self._n_first = begins[1] if len(begins) > 1 else 0
+        self._n_first = 0
+        if len(begins) > 1:
+            self._n_first = begins[1]
         has_numbers = {*columns.places} <= {*head.numeric}
         # The first frame has to be whole in the begin of the file: it shows the others.
         is_in_turn = len(begins) == len({*keys}) and self._n_first > 1
@@ -152,7 +160,9 @@ class LongFrames:
 
     def _keys(self, rows: Doubles, times: Sequence[int | float]) -> npt.NDArray[Any]:
         """Numbers or times of the frames of lines."""
-        return np.array(times) if self._is_timed else rows[:, self._columns.frame]
+        if self._is_timed:
+            return np.array(times)
+        return rows[:, self._columns.frame]
 
     @cached_property
     def _places(self) -> tuple[Doubles, list[int]]:
@@ -169,7 +179,9 @@ class LongFrames:
             raise SourceError(f"{self._name}: places of taxels are no whole numbers")
         begins = numbers.min(axis=0)
         layout = self._head.layout
-        stated = [layout.n_rows, layout.n_cols] if len(columns) > 1 else [None]
+        stated: list[int | None] = [None]
+        if len(columns) > 1:
+            stated = [layout.n_rows, layout.n_cols]
         sizes = numbers.max(axis=0) - begins + 1
         pairs = zip(stated, sizes.tolist(), strict=True)
         return begins, [side or int(size) for side, size in pairs]

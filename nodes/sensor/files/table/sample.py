@@ -119,7 +119,9 @@ class TableHead:
     def label(self, column: int) -> str:
         """The name of a column, or its number from 1."""
         name = self.names[column]
-        return shown(name) if name else str(column + 1)
+        if name:
+            return shown(name)
+        return str(column + 1)
 
     def is_indexed(self, column: int) -> bool:
         """True if the name of a column holds a number, as those of taxels do."""
@@ -141,7 +143,9 @@ class TableHead:
             word = cell.strip(" .:").lower()
             if SUMMARY.fullmatch(word):
                 return word
-        return None if any(cells) else ""
+        if any(cells):
+            return None
+        return ""
 
 
 def numbers_of(cells: Sequence[str]) -> npt.NDArray[np.float64]:

@@ -192,7 +192,9 @@ class TableRecording(Recording):
         if head.has_summary and _may_sum_up(text):
             word = head.summary_of(head.dialect.cells(text))
             if word is not None:
-                return BELOW + word if word else EMPTY
+                if not word:
+                    return EMPTY
+                return BELOW + word
         # What a board prints while it starts.
         if text[0].isalpha() and not self._may_be_data(text):
             return "lines of text"
@@ -255,8 +257,12 @@ class TableRecording(Recording):
         """Numbers of lines that NumPy reads; None if it cannot read one, or may not."""
         head = self._head
         # NumPy splits at any white space where no separator is stated.
-        separator = None if head.dialect.separator == " " else head.dialect.separator
-        columns = None if len(head.numeric) == head.width else head.numeric
+        separator: str | None = head.dialect.separator
+        if separator == " ":
+            separator = None
+        columns: Sequence[int] | None = head.numeric
+        if len(head.numeric) == head.width:
+            columns = None
         if separator is None and columns is not None:
             return None  # NumPy does not check the number of cells
         if separator is not None:
@@ -391,4 +397,6 @@ def _empty_as(text: str) -> str:
     """The name by which a line without data is dropped; "" of others."""
     if not text.strip():
         return BLANK
-    return "comments" if comment_mark(text) else ""
+    if comment_mark(text):
+        return "comments"
+    return ""

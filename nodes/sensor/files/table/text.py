@@ -90,8 +90,10 @@ class Dialect(NamedTuple):
         prefix: list[str] = []
         if self.has_prefix:
             matched = PREFIX.match(line)
-            prefix = [matched[2].strip() if matched else ""]
-            line = line[matched.end() :] if matched else line
+            prefix = [""]
+            if matched:
+                prefix = [matched[2].strip()]
+                line = line[matched.end() :]
         elif self.label:
             matched = LABEL.match(line)
             if matched and NUMBER.sub("#", matched[0]) == self.label:
@@ -100,7 +102,9 @@ class Dialect(NamedTuple):
         if self.names:
             values = named_values(line)
             # The values of other names are none of these columns.
-            cells = list(values.values()) if tuple(values) == self.names else []
+            cells: list[str] = []
+            if tuple(values) == self.names:
+                cells = list(values.values())
         else:
             cells = self._values(line)
         if self.comma is not None:
@@ -136,7 +140,9 @@ class Dialect(NamedTuple):
 def comment_mark(text: str) -> str:
     """The mark with which a comment begins, "" of other lines."""
     comment = COMMENT.match(text.lstrip())
-    return comment[0] if comment else ""
+    if comment is None:
+        return ""
+    return comment[0]
 
 
 def is_body(text: str) -> bool:
@@ -213,7 +219,8 @@ def dialect_of(lines: Sequence[str]) -> Dialect:
     if not has_prefix:
         matches = (LABEL.match(body) for body in bodies)
         label = _usual(NUMBER.sub("#", m[0]) if m else "" for m in matches)
-        bodies = [LABEL.sub("", body, count=1) for body in bodies] if label else bodies
+        if label:
+            bodies = [LABEL.sub("", body, count=1) for body in bodies]
     has_brackets = _are_most(
         bodies, lambda line: re.search(r"[\[({<]\s*[-+.\d]", line) is not None
     )
@@ -225,14 +232,18 @@ def dialect_of(lines: Sequence[str]) -> Dialect:
     if separator == " " and any("," in body for body in bodies):
         separator = ","
     lists = _usual(tuple(_list_sizes(body, separator)) for body in bodies)
-    return dialect._replace(separator=separator, lists=lists if any(lists) else ())
+    if not any(lists):
+        lists = ()
+    return dialect._replace(separator=separator, lists=lists)
 
 
 def _usual(values: Iterable[_Any]) -> _Any:
     """The value of most lines; an empty one if there is none."""
     counts = Counter(values)
     value, n_lines = counts.most_common(1)[0]
-    return value if 2 * n_lines > counts.total() else type(value)()
+    if 2 * n_lines > counts.total():
+        return value
+    return type(value)()
 
 
 def _list_sizes(line: str, separator: str) -> Iterator[int]:
@@ -255,9 +266,13 @@ def _comma(lines: Sequence[str], separator: str) -> str | None:
         with_comma = [cell for cell in cells if "," in cell]
         if with_comma and all(map(GROUPED.fullmatch, with_comma)):
             has_point = any(re.fullmatch(r"[-+]?\d*\.\d+", cell) for cell in cells)
-            return "" if has_point else None
+            if has_point:
+                return ""
+            return None
     is_decimal = any(re.fullmatch(DECIMAL_COMMA, cell) for cell in cells)
-    return "." if is_decimal and separator != "|" else None
+    if is_decimal and separator != "|":
+        return "."
+    return None
 
 
 def named_values(line: str) -> dict[str, str]:
@@ -284,7 +299,9 @@ def named_values(line: str) -> dict[str, str]:
             return {}
         values[pair[1]] = pair[2]
         at = pair.end()
-    return values if at == len(line.strip()) else {}
+    if at < len(line.strip()):
+        return {}
+    return values
 
 
 def _add_values(values: dict[str, str], name: str, content: Any) -> None:
