@@ -284,8 +284,8 @@ def _event(line: str) -> Document:
         event = json.loads(line)
     except json.JSONDecodeError:
         event = None
-    # A library of a node may write to any descriptor.
-    if not isinstance(event, dict):
+    # A library of a node may write to any descriptor, JSON too.
+    if not isinstance(event, dict) or not isinstance(event.get("event"), str):
         return {"event": "garbage", "text": line[:200]}
     return event
 

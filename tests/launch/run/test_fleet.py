@@ -104,10 +104,10 @@ def test_a_line_of_a_log_is_said_while_it_is_new(stage):
 def test_what_is_no_event_is_logged(stage):
     played = stage()
     played.run()
-    played._ends["sensor"]._channel_of_node.sendall(b"{\n[1]\n")
+    played._ends["sensor"]._channel_of_node.sendall(b'{\n[1]\n{"rate": 1}\n')
     played.fleet.serve()
     assert all("garbage" in garbage for garbage in played.lines)
-    assert len(played.lines) == 2
+    assert len(played.lines) == 3
 
 
 @pytest.mark.parametrize(
