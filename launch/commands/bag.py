@@ -19,13 +19,13 @@ from sparseskin.nodes.recorder.bag.format import (
     span_ns,
 )
 from sparseskin.nodes.recorder.convert.export import OWN, export_names, find_export
-from sparseskin.nodes.sensor.calibration.chain import MAX_TARE_FRAMES
 from sparseskin.nodes.sensor.files.format import suffixes
 
 from . import look
 from .options import (
     add_commands,
     add_layout,
+    add_rest,
     as_options,
     bag_names,
     layout_of,
@@ -155,28 +155,12 @@ def _configure_import(parser: argparse.ArgumentParser) -> None:
         help=f"the recording, NAME{FILE_SUFFIX}; or a folder, for one a FILE",
     )
     add_layout(parser)
-    about = (
-        "first frames, of the untouched skin, whose median is the reading at rest, and which are "
-        "left out; 0: readings are forces, whatever the untouched skin reads"
-    )
-    parser.add_argument(
-        "--tare",
-        metavar="N",
-        type=whole(0, MAX_TARE_FRAMES),
-        help=about,
-    )
+    add_rest(parser)
     rare(parser).add_argument(
         "--keep",
         metavar="CHANNELS",
         default="",
         help="further channels, as x,y: each becomes a patch of its own, skin_x",
-    )
-    about = "readings fall with force: a force is the reading at rest less the reading"
-    rare(parser).add_argument(
-        "--invert",
-        choices=("true", "false"),
-        default="false",
-        help=about,
     )
 
 

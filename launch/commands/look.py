@@ -16,7 +16,7 @@ from sparseskin.messages.text import printable
 from sparseskin.nodes.errors import SourceError
 from sparseskin.nodes.numerics.arrays import Floats
 from sparseskin.nodes.recorder.bag.format import FILE_SUFFIX
-from sparseskin.nodes.sensor.doubt.doubt import Doubt
+from sparseskin.nodes.recorder.convert.to_bag import FileForces
 from sparseskin.nodes.sensor.files.file_source import located, open_file
 from sparseskin.nodes.sensor.files.format import recording_of
 from sparseskin.nodes.sensor.files.recording import Block, File, Head
@@ -24,7 +24,7 @@ from sparseskin.nodes.sensor.files.survey import Needs
 from sparseskin.nodes.sensor.layout.checks import reading
 from sparseskin.nodes.sensor.layout.layout import EMPTY, KEYS, Layout, UnstatedError
 
-from .options import add_layout, as_options, layout_of
+from .options import add_layout, add_rest, as_options, layout_of
 
 MAP_LINES = 16
 MAP_WIDTH = 72
@@ -40,6 +40,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
         "file", metavar="FILE", help="a file, a folder, or example:NAME"
     )
     add_layout(parser)
+    add_rest(parser)
 
 
 def look(arguments: argparse.Namespace) -> int:
@@ -50,7 +51,7 @@ def look(arguments: argparse.Namespace) -> int:
     layout = layout_of(arguments)
     try:
         print("\n".join(_head_lines(name, layout)))
-        lines = _frame_lines(name, layout)
+        lines = _frame_lines(name, layout, arguments.tare, arguments.invert == "true")
     except SourceError as error:
         text = as_options(str(error))
         print(f"\nnot read yet: {printable(text)}", file=sys.stderr)
@@ -153,18 +154,25 @@ def _times(head: Head, layout: Layout) -> str:
     return f"{times} in {head.time_unit}"
 
 
-def _frame_lines(name: str, layout: Layout) -> list[str]:
+def _frame_lines(
+    name: str, layout: Layout, tare: int | None, invert: bool
+) -> list[str]:
     """What the frames show: those of the begin, of a large file."""
-    source = open_file(name, layout, needs=Needs(begin=True))
+    is_raw = bool(tare or invert)
+    source = open_file(name, layout, is_raw, Needs(begin=True))
     skin = source.skin
-    doubt = Doubt(skin, source.clipped, has_level=True)
+    log: list[str] = []
+    forces_of = FileForces(source, tare, invert, log.append)
     stamps_ns: list[int] = []
-    for stamp_ns, forces in islice(source, MAX_STEPS):
-        if not stamps_ns:
-            first_forces = forces.copy()
+    first_forces: Floats | None = None
+    for stamp_ns, readings, _ in islice(source.filled(), MAX_STEPS):
         stamps_ns.append(stamp_ns)
         # Each frame shows how the skin rests.
-        doubt.look(forces)
+        frame = forces_of.frame(readings, stamp_ns)
+        if first_forces is None and frame is not None:
+            first_forces = frame[0].copy()
+    if first_forces is None:
+        raise SourceError(f"{name}: all of its first frames are of the tare")
     taxels = f"{skin.n_rows} x {skin.n_cols}"
     if skin.mask is not None:
         taxels += f", {skin.n_taxels} exist"
@@ -172,17 +180,21 @@ def _frame_lines(name: str, layout: Layout) -> list[str]:
     properties = {"taxels": taxels, "readings": f"up to {skin.f_max:g} {skin.unit}"}
     if len(stamps_ns) > 1:
         properties["time step"] = _steps_text(stamps_ns)
-    for k, note in enumerate(source.notes):
+    for k, note in enumerate([*source.notes, *log]):
         properties[f"note {k + 1}"] = as_options(note)
-    if doubt.line:
-        properties["not trusted"] = as_options(doubt.line)
+    if forces_of.line:
+        properties["not trusted"] = as_options(forces_of.line)
 
-    command = _command(name, layout)
+    command = _command(name, layout, tare, invert)
+    answer_first = []
+    if forces_of.line:
+        answer_first = ["first answer what is not trusted, by its option", ""]
     return [
         *facts(properties),
         "",
         *_picture_lines(first_forces),
         "",
+        *answer_first,
         f"import it: {command}",
     ]
 
@@ -198,16 +210,16 @@ def _picture_lines(forces: Floats) -> list[str]:
     """The first frame as a map."""
     # Missing readings are NaN; the map shows them as 0.
     largest = float(np.nanmax(forces))
-    title = "first frame:"
+    title = f"first frame, up to {largest:.4g}:"
     if not largest > 0:
-        title += " no reading is above 0"
+        title = "first frame: no reading is above 0"
     width = min(MAP_WIDTH, shutil.get_terminal_size().columns - 1)
     coloured = sys.stdout.isatty() and "NO_COLOR" not in os.environ
     top = max(largest, 1e-9)
     return [title, *heat_map(np.nan_to_num(forces), top, width, MAP_LINES, coloured)]
 
 
-def _command(name: str, layout: Layout) -> str:
+def _command(name: str, layout: Layout, tare: int | None, invert: bool) -> str:
     """The command that imports the file as it was looked at."""
     stem = Path(name.partition(":")[2] or name).stem
     words = ["sparseskin", "recording", "import", name, "--out", f"{stem}{FILE_SUFFIX}"]
@@ -216,4 +228,8 @@ def _command(name: str, layout: Layout) -> str:
         if value != getattr(EMPTY, key):
             # A value that begins with a dash would pass for an option.
             words.append(f"--{key.replace('_', '-')}={value}")
+    if tare is not None:
+        words.append(f"--tare={tare}")
+    if invert:
+        words.append("--invert=true")
     return shlex.join(words)

@@ -81,6 +81,24 @@ def add_page(
     )
 
 
+def add_rest(parser: argparse.ArgumentParser) -> None:
+    """Add the options on what an untouched skin reads: `tare` and `invert`."""
+    # Imported here, as of `add_layout`.
+    from sparseskin.nodes.sensor.calibration.chain import MAX_TARE_FRAMES
+
+    about = (
+        "first frames, of the untouched skin, whose median is the reading at rest, and which are "
+        "left out; 0: readings are forces, whatever the untouched skin reads"
+    )
+    parser.add_argument(
+        "--tare", metavar="N", type=whole(0, MAX_TARE_FRAMES), help=about
+    )
+    about = "readings fall with force: a force is the reading at rest less the reading"
+    rare(parser).add_argument(
+        "--invert", choices=("true", "false"), default="false", help=about
+    )
+
+
 USUAL_KEYS = ("n_rows", "n_cols", "unit", "rate_hz", "columns", "time", "topic")
 """Keys of a layout whose options `--help` shows without `--all`."""
 

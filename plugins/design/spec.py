@@ -205,7 +205,10 @@ def read_file(path: Path) -> dict[str, Any]:
         raise SettingsError(f"{path}: {error.strerror}") from error
     except ValueError as error:
         # Also where its bytes are no UTF-8.
-        raise SettingsError(f"{path}: no TOML: {error}") from error
+        raise SettingsError(
+            f"{path}: no TOML: {error}; of a recording, `sparseskin reprocess` shows what fewer "
+            "measurements lose"
+        ) from error
     keys = dict(tree)
     # A relative path is one from the folder of the file.
     points = keys.get("points")

@@ -98,7 +98,7 @@ class _Imported:
         self._source = source
         self._patch = patch
         self._log = log
-        self._forces_of = _Forces(self.frames, zeroing.tare, zeroing.invert, log)
+        self._forces_of = FileForces(self.frames, zeroing.tare, zeroing.invert, log)
         # What was found as the file was opened stands before all else.
         for line in self.frames.take_lines():
             log(line)
@@ -147,7 +147,7 @@ class _Imported:
             raise BagError(f"{str(self._source)!r}: {error}") from error
 
 
-class _Forces:
+class FileForces:
     """Forces of the readings of a file, and why they are not to be trusted, as of a sensor."""
 
     def __init__(

@@ -116,13 +116,17 @@ def order_of(text: str, n: int) -> list[int] | None:
 
 
 def shapes_of(n: int) -> str:
-    """Shapes of n taxels, the most square ones first: "2 x 3, 3 x 2, 1 x 6 or 6 x 1"."""
+    """Shapes of n taxels, the most square ones first: "2 x 3, 3 x 2, 1 x 6 or 6 x 1"; of many the
+    last one is "another".
+    """
     sides = [
         k for k in range(1, min(n, MAX_SIDE) + 1) if n % k == 0 and n // k <= MAX_SIDE
     ]
     # Most skins are nearly square: those shapes come first.
     sides.sort(key=lambda k: (abs(math.log(k * k / n)), k))
     shapes = [f"{k} x {n // k}" for k in sides[:MAX_WAYS]]
+    if len(sides) > MAX_WAYS:
+        shapes.append("another")
     if len(shapes) < 2:
         return "".join(shapes)
     return f"{', '.join(shapes[:-1])} or {shapes[-1]}"

@@ -43,7 +43,7 @@ def test_the_command_that_is_printed_imports_the_file_as_it_was_shown(log, capsy
     stated = ["--n-rows", "2", "--n-cols", "2", "--unit", "counts", "--missing", "-1"]
     assert main(["recording", "look", log, *stated]) == 0
     shown = capsys.readouterr().out
-    assert "first frame:" in shown
+    assert "first frame, up to " in shown
     assert "4 lines: 3 frames, 1 header" in shown
     command = shlex.split(shown.splitlines()[-1].partition("import it: ")[2])
     assert command[0] == "sparseskin"
@@ -103,3 +103,9 @@ def test_readings_that_rest_far_from_0_are_said_with_the_remedy(
     assert ("add --tare 30 if nothing touched them" in " ".join(shown.split())) == (
         is_said
     )
+    assert main(["recording", "look", "log.npy", *stated, "--tare", "30"]) == 0
+    shown = capsys.readouterr().out
+    assert "not trusted" not in shown
+    command = shlex.split(shown.splitlines()[-1].partition("import it: ")[2])
+    assert command[-1] == "--tare=30"
+    assert main(command[1:]) == 0

@@ -293,8 +293,8 @@ def source_column(head: TableHead) -> int | None:
     Raises UnstatedError if lines are of several skins, and none is stated.
     """
     frame_id = head.layout.frame_id
-    names = map(last_part, head.names)
-    columns = [k for k, name in enumerate(names) if name in SOURCE_WORDS]
+    names_of_columns = [last_part(name) for name in head.names]
+    columns = [k for k, name in enumerate(names_of_columns) if name in SOURCE_WORDS]
     if not head.layout.columns:
         columns += [k for k in range(head.width) if _takes_turns(head, k)]
     # Two skins that are read as one would be a force that jumps with each frame.
@@ -305,8 +305,12 @@ def source_column(head: TableHead) -> int | None:
         if len(skins) > 1:
             texts = ", ".join(map(shown, skins[:MAX_SHOWN]))
             fault = f"column {head.label(k)} names {len(skins)} skins, {texts}"
+            answer = "frame_id"
+            if names_of_columns[k] not in SOURCE_WORDS:
+                # Numbers that take turns may be a state, as a temperature.
+                answer += ", or columns, those of the taxels, if these are no skins"
             options = [{"frame_id": skin} for skin in skins[:MAX_SHOWN]]
-            raise UnstatedError(f"{head.name}: {fault}: state frame_id", *options)
+            raise UnstatedError(f"{head.name}: {fault}: state {answer}", *options)
     if frame_id:
         fault = f"frame_id: no column states {shown(frame_id)}"
         raise SourceError(f"{head.name}: {fault}")
