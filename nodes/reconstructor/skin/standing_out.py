@@ -84,10 +84,19 @@ def deviations_of(tiles: Tiles) -> Deviations:
     variances = [
         _variances(tiles.cut(copies, number)) for number in range(len(tiles.shares))
     ]
-    of_kinds, kinds = np.unique(np.concatenate(variances), axis=0, return_inverse=True)
+    of_windows = np.concatenate(variances)
+    # Most windows of a large skin are full: to sort them would take seconds.
+    full = np.square(_full())
+    is_partial = (of_windows != full).any(axis=1)
+    partial, kinds_of_partial = np.unique(
+        of_windows[is_partial], axis=0, return_inverse=True
+    )
+    kinds = np.zeros(len(of_windows), dtype=np.intp)
+    kinds[is_partial] = 1 + kinds_of_partial.reshape(-1)
     ends = np.cumsum([len(of_shift) for of_shift in variances])
-    by_shift = np.split(kinds.reshape(-1), ends[:-1])
-    return Deviations(np.sqrt(of_kinds), tuple(by_shift))
+    by_shift = np.split(kinds, ends[:-1])
+    of_kinds = np.sqrt(np.concatenate([full, partial]))
+    return Deviations(of_kinds, tuple(by_shift))
 
 
 def _variances(copies: Floats) -> Floats:
