@@ -71,7 +71,9 @@ class Stream:
     preset : str
         "skin" or "paper": settings of the reconstructor node.
     noise_sd : float
-        Standard deviation of the noise of an untouched taxel, newtons; 0: not known.
+        Standard deviation of the readings of an untouched taxel, as they are compressed, newtons;
+        0: not known. Noise that is clipped at 0 has 0.58 of its own. A value that is too large
+        hides light touches of single taxels.
     sigmas : (float, float), optional
         In its place: those at mid-range and at both ends, before readings are clipped at 0, as a
         skin states them to a graph. They make the estimated error nearer.
