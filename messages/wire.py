@@ -20,7 +20,7 @@ from .topics import MAX_PATCHES, MAX_TOPIC_BYTES
 
 __all__ = [
     "MAX_MESSAGE_BYTES", "SCHEMAS", "Payload", "decode", "encode", "head_of", "is_end",
-    "received", "size_bytes", "wire_bytes",
+    "received", "size_bytes", "size_of", "wire_bytes",
 ]  # fmt: skip
 
 Payload = bytes | memoryview
@@ -74,7 +74,7 @@ def encode(message: Message) -> tuple[bytes, bytes]:
     """Turn a message into topic and payload, one map: the form of recordings."""
     topic = message.topic.encode()
     payload: bytes = msgpack.packb(_map_of(message))
-    _Latest.entry = message, _size_of(topic, payload)
+    _Latest.entry = message, size_of(topic, payload)
     return topic, payload
 
 
@@ -96,10 +96,11 @@ def size_bytes(message: Message) -> int:
     latest, n_bytes = _Latest.entry
     if latest is message:
         return n_bytes
-    return _size_of(*encode(message))
+    return size_of(*encode(message))
 
 
-def _size_of(topic: bytes, payload: Payload) -> int:
+def size_of(topic: bytes, payload: Payload) -> int:
+    """Size on the wire in bytes of what `encode` returned, or `received`."""
     # With the zero byte between them.
     return len(topic) + 1 + len(payload)
 
@@ -125,7 +126,7 @@ def decode(topic: bytes, payload: Payload) -> Message:
     message = _of_map(_unpacked(payload))
     if message.topic.encode() != topic:
         raise FieldError(f"a message of {message.topic} came under topic {topic!r}")
-    _Latest.entry = message, _size_of(topic, payload)
+    _Latest.entry = message, size_of(topic, payload)
     return message
 
 

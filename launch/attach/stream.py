@@ -17,7 +17,7 @@ from sparseskin.launch.run.running import RunningGraph, is_running
 from sparseskin.launch.run.termination import TERMINATION
 from sparseskin.messages import MessageError, SkinState, decode
 from sparseskin.messages.topics import split_topic
-from sparseskin.messages.wire import Payload, head_of
+from sparseskin.messages.wire import Payload, head_of, size_of
 from sparseskin.nodes.clock import SystemClock
 from sparseskin.nodes.errors import SparseskinError
 from sparseskin.nodes.network.keys import read_key_pair
@@ -66,7 +66,7 @@ class Arrival(NamedTuple):
     @property
     def n_bytes(self) -> int:
         """Its size on the wire, topic and payload."""
-        return len(self.topic) + 1 + len(self.payload)
+        return size_of(self.topic, self.payload)
 
 
 class Losses:

@@ -86,7 +86,8 @@ USUAL_WRAP = 1 << 32
 """Units of time until clocks of microcontrollers are 0 again."""
 DAY_NS = 86_400 * 10**9
 RISING = 8
-"""Least numbers that rise as times do; chosen: eight without a trend rise once in 40,000."""
+"""Least numbers that rise as times do, or of a line that is asked about if it rises. Derived: eight
+without a trend rise once in 40,000."""
 FEW_RISING = 4
 SAME_STEPS = 1.001
 """The same of numbers that rise in steps of one size, by this ratio."""

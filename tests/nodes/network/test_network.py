@@ -177,12 +177,8 @@ def test_a_gate_guards_what_has_keys_or_can_be_reached_over_tcp(
     assert node.writer.socket.getsockopt(zmq.CURVE_SERVER) == ("security" in config)
 
 
-def test_the_end_is_received_once_every_distant_reader_has_answered(context):
-    assert network(context)[0].end_received()  # no reader on another host
-    node, lines = network(context, endpoint="inproc://end", distant_readers=["desk"])
-    reader = Reader(context, "desk", [node.writer.endpoint], [HERE])
-    wait_for_reader(node.writer, "desk")
-    assert not node.end_received()
+def wait_for_answer(node, reader):
+    """Let a distant reader answer, until the node knows that the end was received."""
 
     def answered():
         if (parts := reader.receive()) is not None:
@@ -191,6 +187,16 @@ def test_the_end_is_received_once_every_distant_reader_has_answered(context):
         return node.end_received()
 
     wait_until(answered, "its answer")
+
+
+def test_the_end_is_received_once_every_distant_reader_has_answered(context):
+    assert network(context)[0].end_received()  # no reader on another host
+    node, lines = network(context, endpoint="inproc://end", distant_readers=["desk"])
+    reader = Reader(context, "desk", [node.writer.endpoint], [HERE])
+    wait_for_reader(node.writer, "desk")
+    assert not node.end_received()
+
+    wait_for_answer(node, reader)
     assert lines == []
 
 
@@ -396,13 +402,7 @@ def test_the_end_is_asked_for_again_where_a_reader_has_come_since(context):
     wait_for_reader(node.writer, "desk")
     node.end_repeated()
 
-    def answered():
-        if (parts := reader.receive()) is not None:
-            reader.answer(bytes(parts[1]))
-        node.writer.serve_subscriptions()
-        return node.end_received()
-
-    wait_until(answered, "its answer")
+    wait_for_answer(node, reader)
     assert lines == []
 
 

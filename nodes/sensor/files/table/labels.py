@@ -11,7 +11,7 @@ import numpy as np
 from sparseskin.nodes.sensor.layout.checks import shown
 from sparseskin.nodes.sensor.layout.layout import UnstatedError
 from sparseskin.nodes.sensor.layout.names import COL_WORDS, ROW_WORDS
-from sparseskin.nodes.sensor.layout.times import is_time_name
+from sparseskin.nodes.sensor.layout.times import RISING, is_time_name
 
 from .sample import Line, TableHead, is_number, is_value, numbers_of
 from .text import comment_mark, is_body
@@ -19,9 +19,6 @@ from .text import comment_mark, is_body
 EVEN = 4
 """Least length of a line with even steps, as 0, 1, 2, ..., that is a header. Chosen: of readings up
 to 10 one frame in 10,000 reads so."""
-RISING = 8
-"""Least length of a line that is asked about if it rises. Derived: one of 40,000 random frames
-does."""
 FORMED = 4
 """Least length of a line that is a header as it rises and no line below has as many decimals; and
 least number of these lines. Chosen."""
